@@ -98,10 +98,12 @@ class Exploration:
             areas=areas,
         )
 
-    def own_part(self, found: Frontiers, now: int) -> Frontiers:
-        """The frontiers that are left to this robot; all, where it explores alone."""
+    def own_part(self, found: Frontiers, now: int) -> Frontiers | None:
+        """The frontiers that are left to this robot; all, where it explores alone. None if it searched for others."""
         if self.sharing is None:
             return found
+        if self.sharing.is_outdated:
+            return None
         target = (self.target.frontier.x, self.target.frontier.y) if self.target is not None else None
         return self.sharing.own_frontiers(found, target, now)
 
@@ -123,6 +125,8 @@ class Exploration:
                 return self.target
             else:
                 self._give_up(same, self.target, resolution, self._given_up)
+                if self.sharing is not None:  # nor can another robot see it better
+                    self._give_up(same, self.target, resolution, self.sharing.looked_at)
                 ranked.remove(same)
         self._forget()
         for frontier in ranked:

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from pydantic import Field
 
-from services.navigator.known_area import KnownArea, known_elsewhere
+from services.navigator.known_area import KnownArea, dilated, known_elsewhere
 from shared.config import Section
 from shared.distance_field import distance_field
 from shared.grid import FREE_UP_TO, OCCUPIED_FROM
@@ -60,13 +60,15 @@ class Frontiers:
     """The result of a search, the nearest frontier first.
 
     `unreachable`: cells of borders without a path to them, where the robot would fit. `enclosed`: the robot fits
-    nowhere. `between`: (k, k) m to drive between the first k = min(n, 20), on a grid three times as coarse.
+    nowhere. `between`: (k, k) m to drive between the first k = min(n, 20), on a grid three times as coarse. `border`:
+    (b, 2) cells of all frontiers of the own map, with those that are dropped and those that others know more about.
     """
 
     frontiers: tuple[Frontier, ...]
     unreachable: tuple[Int64s, ...]
     enclosed: bool
     between: Float64s
+    border: Int64s
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +99,7 @@ def find_frontiers(snapshot: Snapshot, config: FrontierConfig) -> Frontiers:
     column, row = snapshot.x / resolution - snapshot.first_column, snapshot.y / resolution - snapshot.first_row
     h, w = cells.shape
     if not (0 <= row < h and 0 <= column < w):
-        return Frontiers((), (), True, np.zeros((0, 0)))
+        return Frontiers((), (), True, np.zeros((0, 0)), np.zeros((0, 2), np.int64))
     free = _free_cells(cells, row, column, snapshot.robot_radius / resolution)
     passable = free & (distance >= clearance - 1e-6)
     travelled = _travel_costs(passable, distance, int(row), int(column), _MAX_ESCAPE_M / resolution)
@@ -114,11 +116,12 @@ def find_frontiers(snapshot: Snapshot, config: FrontierConfig) -> Frontiers:
     n_steps = ceil(room_wanted / resolution) + 3
     seen_from = _nearest_places(free, places & (travelled < _UNREACHED), n_steps)
     cut_off_from = _nearest_places(free, places & (travelled == _UNREACHED), n_steps)
-    border = _border_cells(free, cells)
+    whole = border = _border_cells(free, cells)
     if snapshot.areas:
         beside = ~free & (cells < OCCUPIED_FROM) & dilated(border)
         elsewhere = known_elsewhere(beside, snapshot.first_row, snapshot.first_column, resolution, snapshot.areas)
         border = _border_cells(free, np.where(elsewhere, np.int8(OCCUPIED_FROM), cells))
+    border = border.copy()
     dropped = snapshot.dropped - (snapshot.first_row, snapshot.first_column)
     dropped = dropped[((dropped >= 0) & (dropped < (h, w))).all(axis=1)]
     for dr in (-1, 0, 1):
@@ -128,6 +131,7 @@ def find_frontiers(snapshot: Snapshot, config: FrontierConfig) -> Frontiers:
     deep = distance >= snapshot.robot_radius
     pieces, ends = _split_border(border & (seen_from >= 0), deep, n_min, n_max)
     others, other_ends = _split_border(border & (seen_from < 0) & (cut_off_from >= 0), deep, n_min, n_max)
+    all_pieces, all_ends = _split_border(whole & ((seen_from >= 0) | (cut_off_from >= 0)), deep, n_min, n_max)
     unknown = np.pad((cells < 0) | ((cells > FREE_UP_TO) & (cells < OCCUPIED_FROM)), 1, constant_values=True)
     frontiers = sorted(
         (
@@ -144,6 +148,7 @@ def find_frontiers(snapshot: Snapshot, config: FrontierConfig) -> Frontiers:
         unreachable,
         enclosed,
         _distances_between(np.asarray(travelled < _UNREACHED), snapshot, frontiers[:_MAX_TOURED]),
+        _map_cells(all_pieces[: all_ends[-1] if all_ends else 0], snapshot),
     )
 
 
@@ -164,16 +169,6 @@ def _distances_between(reached: Bools, snapshot: Snapshot, frontiers: list[Front
     for i, (row, column) in enumerate(zip(rows, columns)):
         between[i] = _travel_costs(coarse, nowhere, row, column, 0.0)[rows, columns] / _STRAIGHT * side
     return np.asarray(np.maximum(between, between.T))
-
-
-def dilated(cells: Bools) -> Bools:
-    """The cells, (h, w) bool, and their four neighbours: scipy.ndimage.binary_dilation without scipy's 12 MB."""
-    grown = cells.copy()
-    grown[1:] |= cells[:-1]
-    grown[:-1] |= cells[1:]
-    grown[:, 1:] |= cells[:, :-1]
-    grown[:, :-1] |= cells[:, 1:]
-    return grown
 
 
 def _map_cells(piece: Int32s, snapshot: Snapshot) -> Int64s:

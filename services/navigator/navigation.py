@@ -188,14 +188,15 @@ class Navigation:
             return
         if pose is None or self.paused or self.suspended or self.action:
             return
-        before = exploration.target
-        result = exploration.own_part(result, now)
-        target = exploration.choose_target(result, pose, self.grid.resolution)
+        own, before = exploration.own_part(result, now), exploration.target
+        if own is None:
+            return
+        target = exploration.choose_target(own, pose, self.grid.resolution)
         if target is None:
             if self.attempt:
                 self.attempt = None
                 yield self._standstill(now)
-            yield from self._without_frontier(exploration, result, now)
+            yield from self._without_frontier(exploration, own, now)
         elif target is not before:
             exploration.without = 0.0
             frontier = target.frontier
@@ -369,10 +370,11 @@ class Navigation:
 
     def _without_frontier(self, exploration: Exploration, result: Frontiers, now: int) -> Out:
         config = self.config.exploration
-        if exploration.sharing is not None and exploration.sharing.waits(exploration.without > config.settle_time, now):
-            return
         uncertain = result.enclosed or bool(result.unreachable)
-        if exploration.without < (config.blocked_time if uncertain else config.settle_time):
+        settled = exploration.without >= (config.blocked_time if uncertain else config.settle_time)
+        if exploration.sharing is not None and exploration.sharing.waits(settled, now):
+            return
+        if not settled:
             return
         if exploration.retry_failed():
             exploration.without = 0.0

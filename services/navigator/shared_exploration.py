@@ -19,8 +19,8 @@ from services.navigator.known_area import BLOCK_CELLS, MAX_BLOCKS, KnownArea, bl
 from shared.config import Section
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
-from shared.messages import ExplorationShare
-from shared.types import Float64s
+from shared.messages import TILE_CELLS, ExplorationShare
+from shared.types import Float64s, Int64s
 
 _DETOUR = 1.4  # m of driving per m of straight line, where no path is known
 _KEEP_M = 1.0  # m by which another robot must be nearer to take a frontier that is driven to
@@ -70,7 +70,8 @@ class SharedExploration:
         self.found: Frontiers | None = None  # by the last search
         self.helps = False  # no frontier of its own is left: it drives to those of others, through what they know
         self.is_done = False  # there is none of theirs to drive to
-        self._searched_with_others = False
+        self.looked_at: set[tuple[int, int]] = set()  # rows and columns of `map`: borders that cannot be seen better
+        self._searched_with_others = self._searched_to_help = False
         self._teammates: dict[str, Teammate] = {}
         self._sequence = 0
         self._sent: int | None = None  # ns, of the last message
@@ -92,7 +93,7 @@ class SharedExploration:
     def areas(self, now: int) -> tuple[KnownArea, ...]:
         """What the others know: those that are alive, and those that have finished. Nothing counts while it helps."""
         alive = {mate.share.robot for mate in self.alive(now)}
-        self._searched_with_others = bool(alive)
+        self._searched_with_others, self._searched_to_help = bool(alive), self.helps
         if self.helps:
             return ()
         mates = [mate for name, mate in self._teammates.items() if name in alive or not mate.share.active]
@@ -106,6 +107,11 @@ class SharedExploration:
             )
             for mate in mates
         )
+
+    @property
+    def is_outdated(self) -> bool:
+        """Whether the last search was to help, and the robot helps no more, or the other way round."""
+        return self._searched_to_help is not self.helps
 
     def own_frontiers(self, found: Frontiers, target: Point | None, now: int) -> Frontiers:
         """Returns the part of the found frontiers that this robot is to explore.
@@ -138,10 +144,20 @@ class SharedExploration:
         self.is_done, self.helps = self.is_done or (settled and self.helps), settled and not self.helps
         return True
 
+    def _open_border(self) -> Int64s:
+        """(n, 2) cells of the frontiers' borders, without those, and their neighbours, that were looked at."""
+        closed = {(row + dr, column + dc) for row, column in self.looked_at for dr in (-1, 0, 1) for dc in (-1, 0, 1)}
+        cells = self.found.border.tolist() if self.found is not None else ()
+        return np.array([cell for cell in cells if tuple(cell) not in closed], np.int64).reshape(-1, 2)
+
     def _dealt(
         self, found: Frontiers, target: Point | None, alive: list[Teammate], map_from_common: Pose2
     ) -> list[int]:
-        """Returns the indices of the frontiers that are dealt to this robot."""
+        """Returns the indices of the frontiers that are dealt to this robot.
+
+        A robot gets those near it, listed by it or not: it will see them soon. But where nothing is left to this robot,
+        it keeps all that no other lists. Else each of two robots may leave a frontier to the other.
+        """
         own = [(frontier.x, frontier.y) for frontier in found.frontiers]
         places, same = list(own), self.config.same_frontier
         bids: dict[str, dict[int, float]] = {}  # of each robot, by place
@@ -154,12 +170,17 @@ class SharedExploration:
                     k = len(places)
                     places.append((x, y))
                 bids[mate.share.robot][k] = cost
-        costs = {self.name: [frontier.distance for frontier in found.frontiers] + [inf] * (len(places) - len(own))}
+        listed = {name: [bid.get(k, inf) for k in range(len(places))] for name, bid in bids.items()}
+        listed[self.name] = [frontier.distance for frontier in found.frontiers] + [inf] * (len(places) - len(own))
+        near = dict(listed)
         for mate in alive:
             here, bid = mate.point(map_from_common), bids[mate.share.robot]
-            costs[mate.share.robot] = [bid.get(k, _DETOUR * _apart(here, place)) for k, place in enumerate(places)]
+            near[mate.share.robot] = [bid.get(k, _DETOUR * _apart(here, place)) for k, place in enumerate(places)]
         claims = {mate.share.robot: _claim(mate, map_from_common) for mate in alive} | {self.name: target}
-        return [k for k in deal(places, costs, claims, same)[self.name] if k < len(own)]
+        for costs in (near, listed):
+            if dealt := [k for k in deal(places, costs, claims, same)[self.name] if k < len(own)]:
+                return dealt
+        return []
 
     def _towards_others(self, found: Frontiers, alive: list[Teammate], map_from_common: Pose2) -> list[int]:
         """Returns the index of the frontier by which one of theirs that no robot drives to is reached soonest."""
@@ -192,7 +213,8 @@ class SharedExploration:
         here = self.common_from_map @ pose
         frontiers = list(self.found.frontiers if self.found is not None else ())[:_MAX_FRONTIERS]
         points = self.common_from_map @ np.array([(f.x, f.y) for f in frontiers], np.float64).reshape(-1, 2)
-        known = known_blocks(grid.cells)
+        corner = np.array((grid.first_row, grid.first_column)) * TILE_CELLS
+        known = known_blocks(grid.cells, self._open_border() - corner)
         return ExplorationShare(
             stamp=now,
             robot=self.name,
@@ -243,6 +265,7 @@ def deal(
             (length[name] + (first_costs[name][k] if not tours[name] else _leg(places, tours[name][-1], k)), name, k)
             for name in sorted(first_costs)
             for k in sorted(left)
+            if first_costs[name][k] < inf
         ]
         arrival, name, k = min(arrivals)
         tours[name].append(k)

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from services.navigator.exploration import Exploration, ExplorationConfig
 from services.navigator.frontiers import Frontier, FrontierConfig, Frontiers, Snapshot, find_frontiers
 from services.navigator.known_area import KnownArea, known_blocks, known_elsewhere
 from services.navigator.shared_exploration import SharedExploration, SharingConfig, deal, subset
@@ -21,6 +22,7 @@ from tests.unit.services.navigator.bench import OK, NavigatorBench, S, stopped
 from tests.unit.services.navigator.test_exploring import ENDS, OFFICE, Explorer
 
 CONFIG = SharingConfig()
+NOTHING = np.empty((0, 2), np.int64)
 LEASE = round(CONFIG.lease * S)
 places = st.lists(st.tuples(st.floats(-20, 20), st.floats(-20, 20)), max_size=8)
 poses = st.builds(Pose2, st.floats(-9, 9), st.floats(-9, 9), st.floats(-3, 3))
@@ -30,7 +32,7 @@ def frontiers(*rows):
     """From x, y and m to drive."""
     cells = np.zeros((1, 2), np.int64)
     made = tuple(Frontier(x, y, 0.0, 1.0, distance, cells) for x, y, distance in rows)
-    return Frontiers(made, (), False, np.ones((len(made), len(made))))
+    return Frontiers(made, (), False, np.ones((len(made), len(made))), NOTHING)
 
 
 def share_of(name, x, y, rows, claimed=-1, sequence=1, **fields):
@@ -102,6 +104,14 @@ def test_old_messages_and_those_of_other_robots_are_ignored():
     assert own(sharing, found) == [(1.0, 0.0), (9.0, 0.0)]
 
 
+def test_a_frontier_that_another_robot_may_not_know_is_left_to_it_only_while_there_are_others():
+    """Blue stands beside it, but does not list it: then each robot would leave it to the other."""
+    sharing = SharedExploration(CONFIG, "red", ("blue",), Pose2())
+    sharing.take(share_of("blue", 10.0, 0.0, []), S)
+    assert own(sharing, frontiers((1.0, 0.0, 1.0), (9.0, 0.0, 9.0))) == [(1.0, 0.0)]
+    assert own(sharing, frontiers((9.0, 0.0, 9.0))) == [(9.0, 0.0)]
+
+
 @given(poses, st.integers(0, 2**32))
 def test_the_known_area_covers_what_brute_force_says(area_from_map, seed):
     rng = np.random.default_rng(seed)
@@ -134,8 +144,49 @@ def test_there_is_no_frontier_towards_what_another_robot_knows(beside):
     assert find_frontiers(snapshot, FrontierConfig()).frontiers
     theirs = np.full(cells.shape, -1, np.int8)
     theirs[:, 5 * 8 :] = 0
-    area = KnownArea(Pose2(), 0.4, 0, 0, known_blocks(theirs))
+    area = KnownArea(Pose2(), 0.4, 0, 0, known_blocks(theirs, NOTHING))
     assert not find_frontiers(replace(snapshot, areas=(area,)), FrontierConfig()).frontiers
+
+
+ROOM_AND_DOOR = drawn(
+    """
+    ############?????
+    #..........#?????
+    #..........??????
+    #..........??????
+    #..........#?????
+    ############?????
+    """,
+    10,
+)
+
+
+def test_robots_that_know_no_more_than_each_other_do_not_hide_a_frontier_from_each_other():
+    """Both see a door from the same side. What lies beyond it is known where one of them has been there."""
+    snapshot = Snapshot(ROOM_AND_DOOR, 0, 0, 0.05, 1.0, 1.5, 0.2, np.zeros((0, 2), np.int64))
+    found = find_frontiers(snapshot, FrontierConfig())
+    assert len(found.frontiers) == 1
+    area = KnownArea(Pose2(), 0.4, 0, 0, known_blocks(ROOM_AND_DOOR, found.border))
+    both = find_frontiers(replace(snapshot, areas=(area,)), FrontierConfig())
+    assert [f.cells.tolist() for f in both.frontiers] == [f.cells.tolist() for f in found.frontiers]
+    assert area.known[3, 2], "inside the room it is known"
+    beyond = np.where(np.arange(ROOM_AND_DOOR.shape[1]) >= 115, np.int8(0), ROOM_AND_DOOR)
+    has_been_there = KnownArea(Pose2(), 0.4, 0, 0, known_blocks(beyond, NOTHING))
+    assert not find_frontiers(replace(snapshot, areas=(has_been_there,)), FrontierConfig()).frontiers
+
+
+def test_a_border_that_one_robot_looked_at_in_vain_is_no_frontier_of_the_others():
+    grid = OccupancyGrid()
+    grid.apply(message(ROOM_AND_DOOR))
+    snapshot = Snapshot(grid.cells, 0, 0, 0.05, 1.0, 1.5, 0.2, np.zeros((0, 2), np.int64))
+    sharing = SharedExploration(CONFIG, "red", ("blue",), Pose2())
+    sharing.found = found = find_frontiers(snapshot, FrontierConfig())
+    for looked, n in ((False, 1), (True, 0)):
+        if looked:
+            sharing.looked_at.update((row, column) for row, column in found.border.tolist())
+        share = sharing.message(Pose2(1.0, 1.5), None, grid, True, 1, (1 + looked) * S)
+        area = KnownArea(Pose2(), share.cell, share.first_row, share.first_column, share.known)
+        assert len(find_frontiers(replace(snapshot, areas=(area,)), FrontierConfig()).frontiers) == n
 
 
 def test_a_subset_keeps_the_distances_between_its_frontiers():
@@ -267,6 +318,21 @@ def test_a_robot_without_frontiers_drives_towards_one_that_no_robot_has_begun():
     assert own(sharing, borders) == [(0.0, 5.0)]
     assert own(sharing, borders, target=(0.0, 5.0)) == [(0.0, 5.0)]
     assert not sharing.is_done
+
+
+def test_what_was_searched_to_help_is_not_taken_for_own_frontiers():
+    """It arrives while a search is under way, which left out what the other knows."""
+    exploration = Exploration(ExplorationConfig(), SharedExploration(CONFIG, "red", ("blue",), Pose2()))
+    sharing = exploration.sharing
+    sharing.take(share_of("blue", 10.0, 0.0, [(9.0, 0.0, 1.0), (5.0, 5.0, 8.0)], claimed=0), S)
+    borders = frontiers((0.0, -5.0, 2.0), (0.0, 5.0, 2.5))
+    assert sharing.waits(True, S)
+    assert not sharing.areas(S)
+    assert len(exploration.own_part(borders, S).frontiers) == 1
+    exploration.arrived()
+    assert exploration.own_part(borders, S) is None
+    sharing.areas(S)
+    assert exploration.own_part(borders, S) is not None
 
 
 def test_a_robot_is_done_while_every_frontier_is_begun_and_helps_when_another_is_found():
