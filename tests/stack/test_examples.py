@@ -53,6 +53,7 @@ class Program:
             self.process.wait(20)
         except subprocess.TimeoutExpired:
             self.process.kill()
+            self.process.wait()
         self._reader.join()
         self.process.stdout.close()
 
