@@ -626,8 +626,8 @@ class ExplorationShare(Message):
     `session` and `sequence` order the messages of one `robot`; a session is the time at which its exploration began.
     `task_id` and `others`, the robots that it explores with, are for its navigator after a restart.
     `active`: it has a frontier, or may get one. `claimed` is the frontier that it drives to, by its number, -1 without
-    one. `frontier_costs` are m of driving. `known` is 1 in the coarse cells that its map knows, in that map's frame:
-    the lower left cell is (`first_row`, `first_column`).
+    one. `frontier_costs` are m of driving. `known` is 1 in the coarse cells that its map knows, and 0 where it has a
+    frontier. The lower left cell is (`first_row`, `first_column`) of that map.
     """
 
     robot: Text

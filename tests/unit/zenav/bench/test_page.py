@@ -69,7 +69,10 @@ def test_an_honest_page_is_served_while_all_attack_at_once(monkeypatch):
             for seconds in (3, 10, 30):  # a slow machine opens few of the connections in the first seconds
                 until = time.monotonic() + seconds
                 await asyncio.gather(
-                    hostile.frames(until), hostile.oversized(until), hostile.slowloris(until), hostile.connections(until)
+                    hostile.frames(until),
+                    hostile.oversized(until),
+                    hostile.slowloris(until),
+                    hostile.connections(until),
                 )
                 if all_happened():
                     break
