@@ -15,7 +15,10 @@ MAX_SIDE_PIXELS = 2400  # of an image
 
 
 def map_picture(grid: OccupancyGrid, poses: Float64s) -> bytes:
-    """A PNG of the known map with the way (n, 3) on it, its start green and its end blue, and a scale bar."""
+    """A PNG of the known map with the way (n, 3) on it, its start green and its end blue, and a scale bar.
+
+    A row of NaN interrupts the way.
+    """
     from PIL import Image, ImageDraw
 
     rows, columns = np.nonzero(grid.cells >= 0)
@@ -39,10 +42,12 @@ def map_picture(grid: OccupancyGrid, poses: Float64s) -> bytes:
     draw = ImageDraw.Draw(image)
     x = ((poses[:, 0] - grid.x0) / grid.resolution - c0) * pixel
     y = image.size[1] - ((poses[:, 1] - grid.y0) / grid.resolution - r0) * pixel
-    line = [(float(a), float(b)) for a, b in zip(x, y)]
-    if len(line) > 1:
-        draw.line(line, fill=WAY, width=max(1, round(pixel / 2)), joint="curve")
-    for (a, b), colour in ((line[0], START), (line[-1], END)) if line else ():
+    points = np.column_stack((x, y))
+    for drive in np.split(points, np.flatnonzero(np.isnan(x))):
+        line = [(a, b) for a, b in drive[~np.isnan(drive[:, 0])].tolist()]
+        if len(line) > 1:
+            draw.line(line, fill=WAY, width=max(1, round(pixel / 2)), joint="curve")
+    for (a, b), colour in ((points[0].tolist(), START), (points[-1].tolist(), END)) if len(points) else ():
         draw.ellipse((a - 5, b - 5, a + 5, b + 5), fill=colour)
     metre = pixel / grid.resolution
     bar = next((m for m in (10, 5, 2, 1) if m * metre < image.size[0] / 3), 1)
