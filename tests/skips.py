@@ -31,6 +31,7 @@ NEEDS = (
     Need(("64-bit",), "run them on a 64-bit computer"),
     Need(("SCHED_RR",), "allow real-time scheduling: ulimit -r, or run them as root"),
     Need(("control group", "needs root and systemd"), "run them as root, on a Linux with control groups and systemd"),
+    Need(("history of commits",), "run them in a clone with all commits: git fetch --unshallow"),
     Need(("systemd-analyze",), "install systemd, which has systemd-analyze"),
 )
 

@@ -329,6 +329,21 @@ def test_every_entry_is_a_row_s_and_fits_its_table():
                 assert {line[0] for line in lines} <= set(PEERS)
 
 
+def _git(*arguments: str) -> str:
+    return subprocess.run(("git", *arguments), cwd=ROOT, check=True, capture_output=True, text=True).stdout.strip()
+
+
+def test_the_commit_of_every_row_is_in_the_history():
+    if not (ROOT / ".git").exists() or _git("rev-parse", "--is-shallow-repository") == "true":
+        pytest.skip("needs the whole history of commits")
+    known = {commit[:7] for commit in _git("rev-list", "HEAD").split()}
+    commits = {name: entry.commit for name, entry in load_published().items()}
+    if known.isdisjoint(commits.values()):
+        pytest.skip("needs the whole history of commits: this one begins after all rows")
+    strangers = {name: commit for name, commit in commits.items() if commit not in known}
+    assert not strangers, "measure these rows on a commit of this history: zenav bench figures --only ROW"
+
+
 def test_the_file_comes_back_as_it_was_written(tmp_path):
     entries = {
         "sim": PublishedFigure(
