@@ -246,7 +246,8 @@ def deal(
     """Returns the places of each robot, in the order of its tour.
 
     The next place goes to the robot that reaches it first, behind the places that it has. Of equal times the robot with
-    the first name gets it.  places: (x, y) m.  first_costs: m of driving from each robot to each place, inf if unknown.
+    the first name gets it.  places: (x, y) m.  first_costs: m of driving from each robot to each place, inf
+    where it cannot have it.
     claims: the place that each robot drives to. It keeps it unless one that drives nowhere is nearer by over a metre.
     Of two robots that drive to one place, the nearer one keeps it.
     """
@@ -257,7 +258,7 @@ def deal(
     free = [name for name, k in claimed.items() if k is None]
     bids = sorted((first_costs[name][k], name, k) for name, k in claimed.items() if k is not None)
     for cost, name, k in bids:
-        if k in left and not any(first_costs[other][k] < cost - _KEEP_M for other in free):
+        if k in left and cost < inf and not any(first_costs[other][k] < cost - _KEEP_M for other in free):
             tours[name], length[name] = [k], cost
             left.discard(k)
     while left:

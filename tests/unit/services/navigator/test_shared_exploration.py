@@ -69,6 +69,12 @@ def test_a_robot_keeps_the_place_that_it_drives_to_unless_another_is_a_metre_nea
     assert tours[keeper][0] == 0
 
 
+def test_a_robot_keeps_no_place_that_it_cannot_have():
+    costs = {"red": [np.inf, 9.0], "blue": [3.0, 1.0]}
+    claims = {"red": (0.0, 0.0), "blue": (5.0, 0.0)}
+    assert deal([(0.0, 0.0), (5.0, 0.0)], costs, claims, 1.5) == {"red": [], "blue": [1, 0]}
+
+
 def test_a_nearer_robot_takes_its_frontiers_until_its_lease_ends():
     sharing = SharedExploration(CONFIG, "red", ("blue",), Pose2())
     found = frontiers((1.0, 0.0, 1.0), (9.0, 0.0, 9.0))
