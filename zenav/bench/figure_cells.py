@@ -4,7 +4,7 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from zenav.bench import barn, buildings, localise, office, slam
+from zenav.bench import barn, buildings, gyro, localise, merge, office, slam
 
 Report = dict[str, Any]
 Cells = dict[str, list[list[str]]]
@@ -113,6 +113,51 @@ def localise_cells(name: str) -> Callable[[Sequence[Report]], Cells]:
             f"within 3 s {s['noticed']} of {s['carried']}, back within 10 m {s['back']}"
         )
         return {README: [[figure]], "localise": [line]}
+
+    return cells
+
+
+def merge_cells(reports: Sequence[Report]) -> Cells:
+    """A line a pair of maps of one building, and one line for all pairs that must be refused."""
+    trials = [merge.MergeTrial(**row) for row in _joined(reports, "trials")]
+    s = merge.summary(trials)
+    lines = [list(merge.table_row(trial)) for trial in trials if trial.first == trial.second]
+    others = [trial for trial in trials if trial.first != trial.second]
+    refused = f"{sum(bool(trial.refused) for trial in others)} of {len(others)} refused"
+    lines.append(["other buildings and floors", "", "", refused, *[""] * (len(merge.COLUMNS) - 4)])
+    figure = f"joined {s['joined']} of {s['pairs']} pairs of one building; wrongly joined {s['wrongly_joined']} of all"
+    return {README: [[f"{figure} {len(trials)}; mean error of the joint {_cm(s['joint_mean_m'])}"]], "merge": lines}
+
+
+def gyro_cells(reports: Sequence[Report]) -> Cells:
+    s = reports[0]["summary"]
+    figure = f"mean of all drives: by wheels {s['wheels_deg']:.1f} degrees, by gyro {s['gyro_deg']:.1f}"
+    return {README: [[figure]], "gyro": [list(line) for line in gyro.table_rows(reports[0])]}
+
+
+def soak_cells(added: str) -> Callable[[Sequence[Report]], Cells]:
+    """Cells of one long run, whose line in the table begins with the options that were added."""
+
+    def cells(reports: Sequence[Report]) -> Cells:
+        report = reports[0]
+        s = report["summary"]
+        drifting = next(key.removesuffix("_first") for key in s if key.endswith("_first"))
+        growth = [] if s["faults"] else report["growth"]  # a service that restarts has no size of its own
+        grown = max(growth, key=lambda row: row["memory_to"] / max(row["memory_from"], 1e-9), default=None)
+        most = f"{grown['name']}, {grown['memory_from']:.1f} to {grown['memory_to']:.1f} MB" if grown else "-"
+        line = [
+            added, str(s["goals_reached"]), str(s["goals_failed"]), str(s["faults"]), str(s["contacts"]),
+            _number(s["max_zero_s"], 2), _number(s["max_resume_s"]), str(s["not_resumed"]), most,
+            f"{s[f'{drifting}_first']:.1f} to {s[f'{drifting}_last']:.1f}", _number(s["map_error_mean_m"], 3),
+            _number(s["pose_error_mean_m"], 3), f"{s['recordings_mb']:.0f}",
+        ]  # fmt: skip
+        zero = "" if s["max_zero_s"] is None else f"; zero command after {s['max_zero_s']:.2f} s at most"
+        stood = f"; did not drive on after {s['not_resumed']} of {s['faults']} faults" if s["faults"] else ""
+        figure = (
+            f"goals reached {s['goals_reached']}, failed {s['goals_failed']}; contacts {s['contacts']}{zero}{stood}; "
+            f"mean wall error of the map {_cm(s['map_error_mean_m'])}; limits missed {len(report['broken'])}"
+        )
+        return {README: [[figure]], "soak": [[*line, "; ".join(report["broken"]) or "none"]]}
 
     return cells
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from shared.config import UserError
 from shared.ros_map import replace_file
-from zenav.bench import slam
+from zenav.bench import gyro, merge, slam
 from zenav.bench.faults import COLUMNS as FAULT_COLUMNS
 from zenav.bench.figure_cells import README, SIZES
 from zenav.bench.figure_rows import ROWS
@@ -101,8 +101,20 @@ PLACES: dict[str, TablePosition] = {
     "odometry": TablePosition(
         ("integration, from", "off at most, mm", "at the end, mm", "turned off at most, deg"), ("odometry",)
     ),
+    "merge": TablePosition(merge.COLUMNS, ("merge",)),
+    "gyro": TablePosition(gyro.COLUMNS, ("gyro",)),
     "faults": TablePosition(FAULT_COLUMNS, ("faults",)),
+    "faults-dark": TablePosition(FAULT_COLUMNS, ("faults-dark",)),
     "faults-live": TablePosition(FAULT_COLUMNS, ("faults-live",)),
+    "soak": TablePosition(
+        (
+            "what was added to `zenav bench soak`", "goals reached", "failed", "faults", "contacts",
+            "zero command, s at most", "standing, s", "did not drive on", "most growth",
+            "p99 of scan to `cmd/vel`, ms, or CPU, ms in each s", "walls, m", "pose, m", "recordings, MB",
+            "limits missed",
+        ),
+        ("soak-hour", "soak", "soak-faults"),
+    ),
 }  # fmt: skip
 
 

@@ -13,13 +13,16 @@ from zenav.bench.figure_cells import (
     demo_cells,
     faults_cells,
     footprint_cells,
+    gyro_cells,
     localise_cells,
+    merge_cells,
     odometry_cells,
     office_cells,
     plan_cells,
     serial_cells,
     sim_cells,
     slam_cells,
+    soak_cells,
     stack_cells,
 )
 
@@ -115,6 +118,14 @@ ROWS: tuple[FigureRow, ...] = (
         for cm in (5, 10)
     ),
     FigureRow(
+        name="merge",
+        what="maps of two parts of a building joined, and maps of others refused",
+        command="zenav bench merge --buildings 0-9 --overlaps 30,50 --strangers 2",
+        cells=merge_cells,
+        hidden="--maps {work}/parts",
+        jobs=True,
+    ),
+    FigureRow(
         name="barn",
         what="BARN's cluttered worlds, the 250 at hand, a Jackal without a map",
         command="zenav bench barn DIR --runs 3",
@@ -173,6 +184,13 @@ ROWS: tuple[FigureRow, ...] = (
         hidden="DIR",
     ),
     FigureRow(
+        name="gyro",
+        what="",
+        command="zenav bench gyro DIR",
+        cells=gyro_cells,
+        data="slam",
+    ),
+    FigureRow(
         name="plan",
         what="a path on game maps, costs included: CPU median / p99; NavFn is our reimplementation in numba",
         command="zenav bench plan --limit 100",
@@ -183,12 +201,37 @@ ROWS: tuple[FigureRow, ...] = (
     FigureRow(
         name="faults",
         what="sensors, clocks and services that fail while the robot drives, in lockstep",
-        command="zenav bench faults --trials 58",
+        command="zenav bench faults",
         cells=faults_cells("faults"),
         jobs=True,
     ),
     FigureRow(
+        name="faults-dark",
+        what="",
+        command="zenav bench faults --only scan_dark_ahead --trials 45 --seed 11",
+        cells=faults_cells("faults-dark"),
+        jobs=True,
+    ),
+    FigureRow(
         name="faults-live", what="the same live", command="zenav bench faults --live", cells=faults_cells("faults-live")
+    ),
+    FigureRow(
+        name="soak-hour",
+        what="an hour from goal to goal in the office, on the virtual clock",
+        command="zenav bench soak --hours 1 --lockstep",
+        cells=soak_cells("`--hours 1 --lockstep`"),
+    ),
+    FigureRow(
+        name="soak",
+        what="half an hour live, over Zenoh",
+        command="zenav bench soak --minutes 30",
+        cells=soak_cells("`--minutes 30`"),
+    ),
+    FigureRow(
+        name="soak-faults",
+        what="the same, while every 20 s a service is killed, or frozen for 1 to 8 s",
+        command="zenav bench soak --minutes 30 --faults 20",
+        cells=soak_cells("`--minutes 30 --faults 20`"),
     ),
     FigureRow(
         name="sim",

@@ -84,13 +84,17 @@ def gyro(directory: Path | None, out: Path | None) -> int:
     """
     check_writable(out)
     report = gyro_errors(directory)
-    rows = [
+    show_table(f"heading, mean error over {WINDOW_M:.0f} m", COLUMNS, table_rows(report))
+    write_report(out, report)
+    return 0 if report["summary"]["kept"] else 1
+
+
+def table_rows(report: dict[str, Any]) -> list[tuple[str, ...]]:
+    """A line a drive."""
+    return [
         (name, f"{r['driven_m']:.0f}", f"{r['wheels_deg']:.1f}", f"{r['gyro_deg']:.1f}", str(r["n_slips"]))
         for name, r in report["rows"].items()
     ]
-    show_table(f"heading, mean error over {WINDOW_M:.0f} m", COLUMNS, rows)
-    write_report(out, report)
-    return 0 if report["summary"]["kept"] else 1
 
 
 def gyro_errors(logs: Path | None) -> dict[str, Any]:

@@ -106,7 +106,7 @@ def merge(
         trials.append(trial)
         sys.stderr.write(f"{trial.first} and {trial.second}: {trial.refused or 'joined'}\n")
     trials.sort(key=lambda trial: (trial.first != trial.second, trial.first, trial.second, -trial.rooms_in_both))
-    show_table(f"maps in {folder}", COLUMNS, [_row(trial) for trial in trials])
+    show_table(f"maps in {folder}", COLUMNS, [table_row(trial) for trial in trials])
     figures = summary(trials)
     sys.stdout.write(
         f"joined {figures['joined']} of {figures['pairs']} pairs of one building, wrongly joined "
@@ -146,7 +146,9 @@ def summary(trials: list[MergeTrial]) -> dict[str, Any]:
     }
 
 
-def _row(trial: MergeTrial) -> tuple[str, ...]:
+def table_row(trial: MergeTrial) -> tuple[str, ...]:
+    """A trial's line of the table."""
+
     def number(value: float | None, scale: float, digits: int) -> str:
         return "-" if value is None else f"{value * scale:.{digits}f}"
 

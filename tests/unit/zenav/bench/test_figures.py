@@ -369,12 +369,32 @@ LOG = {"errors": {"loops": ERRORS, "neighbours": ERRORS}, "cpu_s": 7.4, "cpu_s_o
 
 
 def nothing_seen():
-    """A run of the office in which nothing was heard."""
+    """A run of the room in which nothing was heard."""
     from zenav.metrics.evaluation import RunTrack
     from zenav.scenario.scenario import ScenarioResult, load_scenario
 
     chosen = load_scenario("x80sv", "room", 0, [])
-    return ScenarioResult(chosen, RunTrack(), Mission(chosen.goals, lambda *_: None), 1.0).report()
+    return ScenarioResult(chosen, RunTrack(), Mission(chosen.goals, lambda *_: None), 1.0)
+
+
+def of_soak():
+    from zenav.bench.service_faults import FaultReport
+    from zenav.bench.soak import SoakPlan, report_of
+    from zenav.bench.soak_runs import SoakRun
+    from zenav.bench.soak_samples import ServiceSample
+
+    samples = {"guard": [ServiceSample(float(at), 1, 40.0) for at in range(60)]}
+    fault = FaultReport("guard", "kill", 20.0, 0.0, was_driving=True, zero_s=0.1)
+    run = SoakRun(nothing_seen(), samples, [fault], cpu=[(0.0, 0.0), (60.0, 6.0)])
+    return report_of(run, Path("/none/run.mcap"), SoakPlan(1.0, 20.0, 0, lockstep=True), None)
+
+
+def of_merge():
+    from zenav.bench.merge import MergeTrial
+
+    joined = MergeTrial("building:3", "building:3", 0.3, 0.5, "", "4 of 5", 9, 0.012, 0.05, 0.99, 0.98, 0.97, 11.0)
+    other = MergeTrial("building:3", "building:4", 0.3, refused="no common place")
+    return {"trials": [asdict(joined), asdict(other)]}
 
 
 def of_fault():
@@ -410,8 +430,8 @@ def of_stack():
 
 
 REPORTS = {
-    "office": lambda: {"runs": [nothing_seen()]},
-    "demo": nothing_seen,
+    "office": lambda: {"runs": [nothing_seen().report()]},
+    "demo": lambda: nothing_seen().report(),
     "buildings": lambda: {"runs": [{"building": 3, "trouble": "no way to a room"}]},
     "localise": lambda: {"trials": [asdict(LocalizationTrial(3, 0, 1.9, 0.01, 0.0, 0.5, 2.7, True)),
                                      asdict(LocalizationTrial(3, 1))]},
@@ -421,6 +441,10 @@ REPORTS = {
                          "turn_max_deg": 0.004} for name in ("document", "exact")}},
     "plan": of_plan,
     "faults": of_fault,
+    "soak": of_soak,
+    "merge": of_merge,
+    "gyro": lambda: {"summary": {"wheels_deg": 30.1, "gyro_deg": 5.2},
+                     "rows": {"fhw": {"driven_m": 398.2, "wheels_deg": 71.2, "gyro_deg": 4.1, "n_slips": 0}}},
     "sim": lambda: {"summary": {"ratio": 85.4}},
     "stack": of_stack,
     "footprint": lambda: footprint.figures({"guard": footprint.Usage(30, 20, 90)}, {"guard": [0.3]}, 3.9, {}),
@@ -457,6 +481,14 @@ def test_a_collision_is_in_the_figure():
     cells = row.cells([REPORTS["barn"]()] * 3)
     assert cells[README] == [["success 3 of 6; collisions 3; time-outs 0; score 0.2500"]]
     assert cells["barn"][0][1:6] == ["6", "0.500", "3", "3", "0"]
+
+
+def test_a_long_run_says_which_limits_it_missed():
+    row = next(row for row in ROWS if row.name == "soak-faults")
+    report = of_soak()
+    (line,) = row.cells([report])["soak"]
+    assert "kill guard after 20 s: the robot stood for inf s" in line[-1]
+    assert row.cells([report | {"broken": []}])["soak"][0][-1] == "none"
 
 
 def test_the_names_of_rows_are_different():
