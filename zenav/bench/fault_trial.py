@@ -73,7 +73,7 @@ class FaultTrial:
 class FaultResult:
     """What came of a trial; times in ms from the fault on, infinite where it never came. `trouble`: no trial at all.
 
-    lasts: s of the fault; of a kill, until the service is heard again.
+    lasts: s of the fault; of a kill, until the service is heard again; of the mapper's, the longest time without pose.
     """
 
     fault: str
@@ -114,6 +114,7 @@ class FaultMeter:
         self.wrong_since: int | None = None
         self.wrong_longest = 0
         self.posed: int = 0  # ns, when the newest pose came
+        self.longest_silence = 0  # ns, between two poses
 
     def add(self, key: str, message: Message, now: int) -> None:
         """A message that was published at `now`, ns."""
@@ -137,6 +138,11 @@ class FaultMeter:
         with self.lock:
             self.began, self.is_recording_reasons, self.at_begin = now, True, self.newest["sim/truth"]
 
+    def without_pose(self, now: int) -> int:
+        """ns, the longest time without a pose since the fault began."""
+        with self.lock:
+            return max(self.longest_silence, now - max(self.posed, self.began or 0))
+
     def _tell(self, code: str, detail: str) -> None:
         if code:
             self.details[code] = f"{self.details.get(code, '')} {detail}"
@@ -145,8 +151,9 @@ class FaultMeter:
         """By when the pose came, not by its stamp, which may be what is wrong; 0.1 s of driving is far under WRONG."""
         truth: Truth = self.newest["sim/truth"]
         wrong = pose.map_from_base.distance(truth.start.inverse() @ truth.world_from_base) > WRONG
-        silent = now - self.posed > POSE_AGE * 1e9
-        self.posed = now
+        silence = now - max(self.posed, self.began or 0)
+        silent = silence > POSE_AGE * 1e9
+        self.posed, self.longest_silence = now, max(self.longest_silence, silence)
         if not wrong or pose.state is not Localization.GOOD:
             self.wrong_since = None
             return
@@ -216,6 +223,8 @@ def run_trial(stack: StackUnderTest, trial: FaultTrial) -> FaultResult:
         stack.start(killed)
     stack.run(HEARS_WITHIN)
     meter.is_recording_reasons = False
+    if killed == "mapper":  # its poses may be back before its health is heard
+        result.lasts = min(result.lasts, meter.without_pose(stack.now) * 1e-9)
     result.resumed = _resumes_work(stack, trial.mode, row.hand)
     _fill_in(result, row, meter, fault_end)
     result.contacts = meter.newest["sim/truth"].n_contacts - contacts

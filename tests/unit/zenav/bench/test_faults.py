@@ -148,6 +148,17 @@ def test_only_a_wrong_pose_that_is_good_and_fresh_counts():
         assert meter.wrong_longest / S == pytest.approx(longest, abs=0.05)
 
 
+def test_the_longest_time_without_a_pose_counts_from_the_fault_and_to_now():
+    meter = FaultMeter(0.1)
+    meter.add("sim/truth", truth(Pose2()), 0)
+    meter.begin(1 * S)
+    assert meter.without_pose(1500 * MS) == 500 * MS
+    for at in (1700, 1800, 2000):
+        meter.add("pose", PoseEstimate(0, Pose2(), Pose2(), np.zeros(9), 1.0, Localization.GOOD), at * MS)
+    assert meter.without_pose(2100 * MS) == 700 * MS
+    assert meter.without_pose(3 * S) == 1000 * MS
+
+
 @pytest.mark.timeout(600)  # with an empty cache the kernels are compiled here
 def test_a_trial_in_lockstep_gives_the_same_twice_and_the_command_its_json(tmp_path, capsys):
     row = [row.name for row in FAULT_ROWS].index("scan_silent")
