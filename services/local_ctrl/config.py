@@ -45,7 +45,19 @@ class LocalCtrlConfig(Section):
     dwa: DwaConfig = DwaConfig()
     pursuit: PursuitConfig = PursuitConfig()
 
+    @property
+    def tracked_costmap(self) -> CostmapConfig:
+        """The costmap's settings, without the tracking of dynamic obstacles unless the controller uses predictions.
 
+        A tracked obstacle is no part of the costmap, so another controller would drive into it.
+        """
+        if self.controller in PREDICTING:
+            return self.costmap
+        off = self.costmap.dynamic_obstacles.model_copy(update={"enabled": False})
+        return self.costmap.model_copy(update={"dynamic_obstacles": off})
+
+
+PREDICTING = {"mppi"}  # controllers that keep away from the predicted places of dynamic obstacles
 CONTROLLERS: dict[str, Callable[[LocalCtrlConfig, Limits], Controller]] = {
     "mppi": lambda config, limits: Mppi(config.mppi, limits),
     "dwa": lambda config, limits: Dwa(config.dwa, limits),

@@ -31,7 +31,7 @@ def reconfigure(service: "LocalCtrlService") -> None:
     config, robot = service.config, service.robot
     limits = service.limits = limits_of(robot.drive, config.max_speed, config.max_reverse_speed)
     service.estimate.limits, service.estimate.settling_time = limits, config.speed_settling
-    service.costmap.configure(config.costmap)
+    service.costmap.configure(config.tracked_costmap)
     service.ranges_wanted, _ = sensors_in_use(robot, config.costmap)
     controller = CONTROLLERS[config.controller](config, limits)
     controller.resume(service.path_follower.controller)

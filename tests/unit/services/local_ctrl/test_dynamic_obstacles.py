@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from services.local_ctrl.config import CONTROLLERS, LocalCtrlConfig
 from services.local_ctrl.controller import ControlScene
 from services.local_ctrl.cost_to_go import CostToGoConfig
 from services.local_ctrl.dynamic_obstacles import (
@@ -197,6 +198,22 @@ def test_what_moves_leaves_nothing_in_the_window_and_what_stands_stays():
     x, y = costmap.x0 + columns * costmap.resolution, costmap.y0 + rows * costmap.resolution
     assert (np.hypot(x + 1.5, y - 1.0) < 0.4).any()
     assert not ((x > 1.0) & (x < 3.0) & (abs(y) < 2.0)).any()
+
+
+@pytest.mark.parametrize("controller", CONTROLLERS)
+def test_what_moves_is_an_obstacle_where_it_is_unless_the_controller_predicts_it(controller):
+    tracking = CostmapConfig(dynamic_obstacles=DynamicObstaclesConfig(enabled=True))
+    costmap = LocalCostmap(LocalCtrlConfig(controller=controller, costmap=tracking).tracked_costmap, 4.0)
+    costmap.recentre(0.0, 0.0)
+    for k in range(20):
+        place = 2.0, 1.2 * (k * PERIOD_NS / NS_PER_S - 0.5), 0.4
+        stamp = seen(costmap, k, [place])
+    costmap.refresh(stamp, Pose2(), footprint_of(load_robot("jackal").robot, 0.03))
+    rows, columns = np.nonzero(costmap.occupied)
+    x, y = costmap.x0 + columns * costmap.resolution, costmap.y0 + rows * costmap.resolution
+    is_in_costmap = bool((np.hypot(x - place[0], y - place[1]) < 0.5).any())
+    assert is_in_costmap != bool(len(costmap.moving_discs))
+    assert is_in_costmap == (controller != "mppi")
 
 
 def test_nothing_moves_in_a_world_that_stands_however_the_robot_drives():
