@@ -76,8 +76,7 @@ def merge(names: Sequence[str], out: str, robot: str, force: bool) -> Path:
     places, zones = _followed(parts, merged, PLACES, _moved_place), _followed(parts, merged, ZONES, _moved_zone)
     write_saved_map(folder, merged)
     for items, entries in ((PLACES, places), (ZONES, zones)):
-        for name, values in entries.items():
-            items.write(folder, name, values)
+        items.replace(folder, entries)
     sys.stdout.write(
         f"{folder / 'map.yaml'} ({len(merged.keyframes)} keyframes, {len(places)} places, {len(zones)} zones)\n"
     )

@@ -54,11 +54,16 @@ class NamedItems(Generic[T]):
             )
         tree = next((file.tree for file in self._file(folder)), CommentedMap())
         replaced = name in tree
-        entry = CommentedMap((key, value) for key, value in values.items() if value is not None)
-        entry.fa.set_flow_style()
-        tree[name] = entry
+        tree[name] = _in_one_line(values)
         self._write(folder, tree)
         return replaced
+
+    def replace(self, folder: Path, entries: dict[str, dict[str, Any]]) -> None:
+        """Writes these instead of all that the file has; without any there is no file."""
+        if not entries:
+            (folder / self.file).unlink(missing_ok=True)
+            return
+        self._write(folder, CommentedMap((name, _in_one_line(values)) for name, values in entries.items()))
 
     def remove(self, folder: Path, name: str) -> None:
         """Takes one out of the file. Raises UserError where there is none of that name."""
@@ -76,3 +81,10 @@ class NamedItems(Generic[T]):
         stream = StringIO()
         YAML(typ="rt").dump(tree, stream)
         replace_together(folder, {self.file: stream.getvalue().encode()})
+
+
+def _in_one_line(values: dict[str, Any]) -> CommentedMap:
+    """An item's settings that have a value, as `{a: 1, b: 2}`."""
+    entry = CommentedMap((key, value) for key, value in values.items() if value is not None)
+    entry.fa.set_flow_style()
+    return entry

@@ -65,20 +65,20 @@ def show_active(robot: str, stack: str) -> None:
 
 
 def add_zone(robot: str, stack: str, name: str, zone: ZoneConfig, map_name: str) -> None:
-    """Keeps a zone, and lets it hold at once where the stack runs."""
+    """Keeps a zone, and lets it hold at once where the stack runs, beside those that hold already."""
     folder = folder_of(map_name)
     values = zone.model_dump()
     replaced = ZONES.write(folder, name, {**values, "corners": [list(corner) for corner in values["corners"]]})
     sys.stdout.write(f"{zone_text(zone.zone(name))}{', no longer what it was' if replaced else ''}\n")
-    _hold(robot, stack, folder)
+    _change_active(robot, stack, name, zone.zone(name))
 
 
 def remove_zone(robot: str, stack: str, name: str, map_name: str) -> None:
-    """Forgets a zone, also where the stack runs."""
+    """Forgets a zone, also where the stack runs. The others hold on."""
     folder = folder_of(map_name)
     ZONES.remove(folder, name)
     sys.stdout.write(f"{name} is forgotten\n")
-    _hold(robot, stack, folder)
+    _change_active(robot, stack, name, None)
 
 
 def use_zones(robot: str, stack: str, map_name: str) -> None:
@@ -123,11 +123,17 @@ def _number(zones: tuple[Zone, ...]) -> str:
     return f"{len(zones)} zone{'' if len(zones) == 1 else 's'}"
 
 
-def _hold(robot: str, stack: str, folder: Path) -> None:
-    """Gives a running stack the file's zones."""
+def _change_active(robot: str, stack: str, name: str, zone: Zone | None) -> None:
+    """Sets or, with None, removes one zone of a running stack.
+
+    The others stay: they may be of a loaded map, whose file is another one.
+    """
     with _connected(robot, stack) as client:
         if client.answers(requests.SET_ZONES, RUNS):
-            give_zones(client, zones_in(folder))
+            active = client.latched_value(topics.ZONES)
+            zones = {other.name: other for other in active.zones} if active is not None else {}
+            zones.pop(name, None)
+            give_zones(client, (*zones.values(), *([zone] if zone is not None else [])))
         else:
             sys.stderr.write("no stack runs here: it holds from the next time that its map is loaded\n")
 

@@ -69,6 +69,19 @@ def test_places_and_zones_of_both_maps_are_on_the_merged_one(maps, joined, capsy
         map_merge.merge(["red", "blue"], "office", "x80sv", force=False)
 
 
+def test_a_merged_map_that_takes_another_one_s_place_keeps_none_of_its_zones(maps, joined):
+    ZONES.write(maps / "blue", "ramp", {"corners": [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]})
+    map_merge.merge(["red", "blue"], "floor", "x80sv", force=False)
+    ZONES.write(maps / "floor", "old", {"corners": [[5.0, 0.0], [6.0, 0.0], [6.0, 1.0]]})
+    PLACES.write(maps / "floor", "old", {"x": 1.0, "y": 0.0, "yaw": None})
+    ZONES.remove(maps / "blue", "ramp")
+    for name in PLACES.read(maps / "blue"):
+        PLACES.remove(maps / "blue", name)
+    names = [set(items.read(maps / name)) for name in ("red", "blue") for items in (PLACES, ZONES)]
+    map_merge.merge(["red", "blue"], "floor", "x80sv", force=True)
+    assert set(PLACES.read(maps / "floor")) | set(ZONES.read(maps / "floor")) == set().union(*names)
+
+
 def test_one_room_proves_nothing_and_leaves_no_map(maps):
     with pytest.raises(UserError, match="blue is not joined to red") as refused:
         map_merge.merge(["red", "blue"], "both", "x80sv", force=False)

@@ -1,22 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
 """Zones by name, as places: a saved zone is read again beside its map; an invalid one gives an error."""
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 
 from shared.config import UserError
-from shared.messages import ZoneKind, Zones
+from shared.messages import Zone, ZoneKind, Zones
 from zenav.__main__ import _status
 from zenav.client import zones
-from zenav.client.zones import FILE, zones_in
+from zenav.client.zones import FILE, add_zone, zones_in
 from zenav.maps.map_files import MAPS_FOLDER
+
+
+CHANGE_ACTIVE = zones._change_active
 
 
 @pytest.fixture(autouse=True)
 def nobody_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("ZENAV_MAP", raising=False)
-    monkeypatch.setattr(zones, "_hold", lambda *_: None)
+    monkeypatch.setattr(zones, "_change_active", lambda *_: None)
 
 
 def test_what_is_kept_is_listed_and_forgotten_it_is_gone(capsys):
@@ -68,8 +73,10 @@ def test_a_file_that_is_wrong_is_told_with_its_line():
 class FakeStack:
     """A client of a stack that runs, or of none."""
 
-    def __init__(self, runs=True):
+    def __init__(self, runs=True, active=()):
         self.runs, self.given = runs, []
+        corners = np.array([0.0, 1.0, 1.0]), np.array([0.0, 0.0, 1.0])
+        self.active = [Zone(0, name, ZoneKind.KEEP_OUT, *corners) for name in active]
 
     def answers(self, request, timeout):
         return self.runs
@@ -77,11 +84,27 @@ class FakeStack:
     def ask(self, request, message):
         from shared.requests import Reply
 
+        self.active = message.zones
         self.given.append([zone.name for zone in message.zones])
         return Reply(0, True, "", "")
 
+    def latched_value(self, topic):
+        return Zones(0, tuple(self.active))
+
     def now(self):
         return 0
+
+
+def test_one_more_zone_or_less_leaves_those_of_the_loaded_map(monkeypatch):
+    """The stack has the map `office`, and the command names none."""
+    stack = FakeStack(active=("stairs", "ramp"))
+    monkeypatch.setattr(zones, "_change_active", CHANGE_ACTIVE)
+    monkeypatch.setattr(zones, "_connected", lambda *_: nullcontext(stack))
+    add_zone("x80sv", "0", "hall", zones.zone_of(["0,4", "8,4", "8,7"], 0.3, None), "")
+    zones.remove_zone("x80sv", "0", "hall", "")
+    add_zone("x80sv", "0", "ramp", zones.zone_of(["0,4", "8,4", "8,7"], None, None), "")
+    assert stack.given == [["stairs", "ramp", "hall"], ["stairs", "ramp"], ["stairs", "ramp"]]
+    assert [z.name for z in zones_in(MAPS_FOLDER)] == ["ramp"]
 
 
 def test_with_another_map_its_zones_hold_and_with_a_new_one_none(capsys):
