@@ -31,7 +31,7 @@ export ZENAV_DATA
 endif
 
 help: ## this list
-	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | column -t -s $$'\t'
+	@sed -n 's/^\([a-z0-9-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | column -t -s $$'\t'
 
 venv: .venv/.warm ## .venv with everything pinned, and the kernels compiled
 

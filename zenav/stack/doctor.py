@@ -249,14 +249,21 @@ def robot_ports(robot: str) -> Iterator[DoctorFinding]:
     except UserError as error:
         yield DoctorFinding("robot", BAD, error.what, error.hint)
         return
-    ports: dict[str, PortConfig] = {driver: getattr(sections[driver], "port", PortConfig()) for driver in drivers}
-    for driver, port in ports.items():
+    devices = {(driver,): sections[driver] for driver in drivers}
+    devices |= {
+        (driver, "laser_2"): second for driver in drivers if (second := getattr(sections[driver], "laser_2", None))
+    }
+    ports: dict[tuple[str, ...], PortConfig] = {
+        place: getattr(device, "port", PortConfig()) for place, device in devices.items()
+    }
+    for place, port in ports.items():
         if not port.given:
             continue
+        name = ".".join((*place, "port"))
         if trouble := access_error(port):
-            yield DoctorFinding("robot", BAD, f"{driver}.port: {trouble}", f"{file.place((driver, 'port'))} names it")
+            yield DoctorFinding("robot", BAD, f"{name}: {trouble}", f"{file.place((*place, 'port'))} names it")
         else:
-            yield DoctorFinding("robot", OK, f"{driver}.port: {port.name}" + " (not tried)" * bool(port.kind))
+            yield DoctorFinding("robot", OK, f"{name}: {port.name}" + " (not tried)" * bool(port.kind))
     if not any(port.given for port in ports.values()):
         yield DoctorFinding("robot", OK, f"{file.path.name} names no ports (not needed in simulation)")
 

@@ -105,6 +105,16 @@ def test_the_ports_that_a_robots_file_names_are_looked_for(tmp_path):
     assert away.found == "base_driver.port: socket://10.0.0.5:10001 (not tried)"
 
 
+def test_the_port_of_a_second_laser_is_looked_for_too(tmp_path):
+    text = (ROBOTS_DIR / "delivery.yaml").read_text()
+    port = "laser_2: {model: scip, port: {baud: 115200"
+    assert text.count(port) == 1
+    (tmp_path / "mine.yaml").write_text(text.replace(port, f"{port}, device: {tmp_path / 'rear'}"))
+    (second,) = doctor.robot_ports(str(tmp_path / "mine.yaml"))
+    assert (second.verdict, "lidar_driver.laser_2.port: " in second.found) == (BAD, True)
+    assert "mine.yaml:" in second.hint
+
+
 def test_a_robot_that_is_not_there_is_bad_and_one_without_ports_is_not():
     assert one(lambda: doctor.robot_ports("x80sw")).verdict == BAD
     assert one(lambda: doctor.robot_ports("x80sv")).verdict == OK

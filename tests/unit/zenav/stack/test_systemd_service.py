@@ -108,6 +108,12 @@ def test_installing_writes_and_enables_and_uninstalling_undoes_it(machine, tmp_p
     assert machine == [("system", "disable", "--now", "zenav-x80sv.service"), ("system", "daemon-reload")]
 
 
+def test_udev_rules_are_not_written_for_one_user(machine, tmp_path):
+    with pytest.raises(UserError, match="whole machine"):
+        install(SystemdService("x80sv", "user", tmp_path), udev=True)
+    assert not list(tmp_path.iterdir())
+
+
 def test_printing_writes_nothing(machine, tmp_path, capsys):
     assert _status(["install-service", "--robot", "x80sv", "--system", "--print", "--udev"]) == 0
     shown = capsys.readouterr().out
