@@ -24,7 +24,8 @@ pytestmark = pytest.mark.timeout(600)  # with an empty cache the kernels are com
 
 
 def group(tmp_path, *starts):
-    return RobotGroup("x80sv", "room", ("red", "blue"), settings=QUICK, starts=starts, folder=tmp_path)
+    """The robots have names of their own, whatever `--name` says."""
+    return RobotGroup("green@x80sv", "room", ("red", "blue"), settings=QUICK, starts=starts, folder=tmp_path)
 
 
 def facing(tmp_path, gap):

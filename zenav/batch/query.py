@@ -84,7 +84,7 @@ def _is_set(column: str) -> str:
         return f"coalesce({column}, false)"
     if type_.endswith("[]"):
         return f"coalesce(len({column}), 0) > 0"
-    return f"coalesce({column}, '') <> ''" if type_ == "VARCHAR" else f"{column} is not null and {column} <> 0"
+    return f"coalesce({column}, '') <> ''" if type_ == "VARCHAR" else f"coalesce({column}, 0) <> 0"
 
 
 def _comparison(column: str, operator: str, text: str) -> Condition:

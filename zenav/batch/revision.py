@@ -37,7 +37,9 @@ def run_revision(commit: str, work: Work, inputs: list[str], out: str, jobs: int
     command = ["git", "-C", str(ROOT), "archive", commit, *CODE]
     archive = subprocess.run(command, capture_output=True, check=False)
     if archive.returncode:
-        raise UserError(f"{commit[:12]} is no revision of zenav", "zenav batch --against a later one")
+        raise UserError(
+            f"{commit[:12]} is no revision of zenav", "name another one: zenav batch slam --against REVISION"
+        )
     with TemporaryDirectory(prefix="zenav-") as folder:
         with tarfile.open(fileobj=io.BytesIO(archive.stdout)) as files:
             files.extractall(folder, filter="data")

@@ -64,7 +64,7 @@ def replay(
     tries: Tries = 2,
     against: Against = "",
     fail_worse: FailWorse = False,
-    robot: RobotName = "",
+    robot: Annotated[str, typer.Option("--robot", help="Whose configuration to take; else the recorded.")] = "",
     set_: Setting = None,
 ) -> None:
     """Run each recording through services of today, as `zenav replay` does, and count what differs.

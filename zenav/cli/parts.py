@@ -21,13 +21,14 @@ class Command(TyperCommand):
     """A command that takes negative numbers for arguments, not for options, and whose reader may leave.
 
     Where it has `--robot`, it has `--name` too: its function gets both in `robot`, as NAME@KIND (shared/config.py).
+    Without a default, `--robot` is the recorded robot, which has a name.
     """
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
-        given = [option for param in self.params for option in param.opts]
-        if "--robot" in given and "--name" not in given:
-            after = 1 + next(i for i, param in enumerate(self.params) if "--robot" in param.opts)
+        given = {option: i for i, param in enumerate(self.params) for option in param.opts}
+        if "--robot" in given and "--name" not in given and self.params[given["--robot"]].default:
+            after = 1 + given["--robot"]
             self.params = [*self.params[:after], _own_name(), *self.params[after:]]  # typer keeps the first list
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:

@@ -120,7 +120,7 @@ class RobotLink:
         """The navigator's number of the accepted task; None where no reply came. Raises UserError where it refuses."""
         with Client(name, stack_address(stack)) as client:
             if not client.answers(requests.NAVIGATE, 1.0):
-                raise UserError("its navigator does not answer", "is it running? zenav health")
+                raise UserError("its navigator does not answer", "is it running? zenav fleet list shows its state")
             try:
                 reply = client.ask(requests.NAVIGATE, replace(request, stamp=client.now()))
             except UserError:

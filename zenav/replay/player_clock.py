@@ -15,11 +15,11 @@ from mcap.reader import make_reader
 from shared import topics
 from shared.codec import CodecError, envelope_of
 from shared.config import UserError, nearest
-from shared.messages import EmergencyStop, Goal, MotorCommand, Velocity
+from shared.messages import EmergencyStop, Goal, MotorCommand, Recovery, Velocity
 from shared.recording import Entry, Recording
 from shared.topics import TOPICS
 
-COMMANDS = frozenset(t.key for t in TOPICS if t.type in (Velocity, MotorCommand, Goal, EmergencyStop))
+COMMANDS = frozenset(t.key for t in TOPICS if t.type in (Velocity, MotorCommand, Goal, Recovery, EmergencyStop))
 """The keys that a robot obeys."""
 MAX_SILENCE_NS = 60_000_000_000
 """A longer silence is a jump of the recorder's clock: playback skips it."""

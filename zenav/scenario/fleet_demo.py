@@ -22,6 +22,7 @@ import numpy as np
 from shared import requests, topics
 from shared.config import UserError, configured
 from shared.messages import Health, NavStatus, PoseEstimate, Truth
+from shared.robot_files import own_name_and_kind
 from shared.runners.transport import StackAddress
 from zenav.client import Client
 from zenav.console.json_report import write_report
@@ -173,10 +174,11 @@ class LiveFleet:
         self._shared = SharedWorld(dict.fromkeys(names, plain.robot))
         self._paths = PathFinder(self.world, plain.robot)
         self._scenarios = {}
+        kind = own_name_and_kind(robot)[1]
         for name, start in zip(names, starts, strict=True):
             own = [f"sim.start={{x: {start.x!r}, y: {start.y!r}, yaw: {start.yaw!r}}}"]
             own.append(f"sim.other_discs={self._shared.n_discs(name)}")
-            self._scenarios[name] = load_scenario(f"{name}@{robot}", world, seed, [*settings, *own], meets_robots=True)
+            self._scenarios[name] = load_scenario(f"{name}@{kind}", world, seed, [*settings, *own], meets_robots=True)
         self._robots: list[LiveRobot] = []
         self._launchers: list[Launcher] = []
 

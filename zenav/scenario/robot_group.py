@@ -15,6 +15,7 @@ from shared.geometry import Pose2
 from shared.messages import ExplorationShare, NavStatus, PoseEstimate, RobotIntent, Truth
 from shared.recording import CONFIG, Writer, about, sink
 from shared.requests import Request
+from shared.robot_files import own_name_and_kind
 from shared.runners.lockstep import START, Lockstep
 from shared.types import NS_PER_S
 from zenav.scenario.lockstep_run import lockstep_services
@@ -105,10 +106,11 @@ class RobotGroup:
         self._shared = SharedWorld(dict.fromkeys(names, plain.robot))
         self.members: list[GroupMember] = []
         self.hears: Hears = lambda speaker, listener: True
+        kind = own_name_and_kind(robot)[1]
         for name, start in zip(names, starts, strict=True):
             own = [f"sim.start={{x: {start.x!r}, y: {start.y!r}, yaw: {start.yaw!r}}}"]
             own.append(f"sim.other_discs={self._shared.n_discs(name)}")
-            scenario = load_scenario(f"{name}@{robot}", world, seed, [*settings, *own], meets_robots=True)
+            scenario = load_scenario(f"{name}@{kind}", world, seed, [*settings, *own], meets_robots=True)
             member = GroupMember(name, scenario, folder / f"{name}.mcap" if folder else None)
             member.lockstep.watch(topics.INTENT.key, partial(self._carry, name))
             self.members.append(member)

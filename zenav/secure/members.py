@@ -119,7 +119,9 @@ def accept_credentials(file: Path, endpoint_host: str) -> None:
     place = SecureFolder(target.parent)
     place.write(target, credentials.text().encode())
     _say(f"{credentials.name} ({credentials.role}) of {credentials.robot}")
-    _say(f"try: zenav topic list --stack tls/{endpoint_host}:7448")
+    is_robot = credentials.role == MemberRole.ROBOT
+    command = f"up --site tls/{endpoint_host}:7449" if is_robot else f"topic hz pose --stack tls/{endpoint_host}:7448"
+    _say(f"try: zenav {command}")
 
 
 def valid_member(place: SecureFolder, name: str) -> Member:

@@ -44,6 +44,9 @@ ROWS = [
         ("robot=red and contact and duration>60", "a"),
         ("contact", "ac"),
         ("not contact", "bd"),
+        ("goals", "ac"),
+        ("not goals", "bd"),
+        ("not goals and robot=red", "b"),
         ("stops=bumper or faults", "bc"),
         ("stops!=bumper", "ab"),
         ("not (robot=red or robot='blue')", ""),
@@ -80,12 +83,13 @@ def test_a_wrong_expression_is_one_line_that_says_what(expression, words):
 LEAF = st.sampled_from(
     [("contact", lambda r: r["contact"]), ("robot=red", lambda r: r["robot"] == "red"),
      ("duration>60", lambda r: r["duration"] > 60), ("goals<2", lambda r: r["goals"] < 2),
-     ("stops=bumper", lambda r: "bumper" in r["stops"])]
+     ("stops=bumper", lambda r: "bumper" in r["stops"]), ("goals", lambda r: r["goals"] != 0)]
 )  # fmt: skip
 TREES = st.recursive(
     LEAF,
     lambda inner: st.one_of(
         inner.map(lambda a: (f"not ({a[0]})", lambda r: not a[1](r))),
+        LEAF.map(lambda a: (f"not {a[0]}", lambda r: not a[1](r))),
         st.tuples(inner, inner).map(
             lambda ab: (f"({ab[0][0]}) and ({ab[1][0]})", lambda r: ab[0][1](r) and ab[1][1](r))
         ),

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command line: a wrong argument gives one line and a hint; help is quick because it imports little."""
 
+import ast
 import os
+import re
 import shlex
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -57,6 +60,50 @@ def test_an_example_in_the_help_can_be_copied(command, capsys):
         context = parsed.make_context(parsed.name, list(arguments), parent=context)
         _, parsed, arguments = parsed.resolve_command(context, list(arguments))
     parsed.make_context(parsed.name, list(arguments), parent=context)
+
+
+@pytest.mark.parametrize(
+    ("words", "robot"),
+    [("replay run.mcap", ""), ("batch replay run.mcap --through guard --out there", ""), ("goto 1 2", "red@x80sv")],
+)
+def test_a_replay_is_of_the_recorded_robot_and_all_else_of_the_named_one(words, robot, monkeypatch):
+    monkeypatch.setenv("ZENAV_NAME", "red")
+    monkeypatch.delenv("ZENAV_ROBOT", raising=False)
+    command, arguments, context = typer.main.get_command(command_line.app), shlex.split(words), None
+    while hasattr(command, "resolve_command"):
+        context = command.make_context(command.name, list(arguments), parent=context)
+        _, command, arguments = command.resolve_command(context, list(arguments))
+    assert command.make_context(command.name, list(arguments), parent=context).params["robot"] == robot
+
+
+def hints() -> Iterator[tuple[str, str]]:
+    """(place, command) of each `zenav ...` in the hint of an error, of a reason, or of what doctor finds."""
+    for path in (path for folder in ("zenav", "shared", "services") for path in (ROOT / folder).rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if not isinstance(node, ast.Call) or getattr(node.func, "id", "") not in HINTING:
+                continue
+            for argument in node.args[1:]:
+                parts = argument.values if isinstance(argument, ast.JoinedStr) else [argument]
+                text = "".join(str(p.value) if isinstance(p, ast.Constant) else "X" for p in parts)
+                for found in re.finditer(r"\bzenav (?!wrote|is )([^;,()`?]+)", text):
+                    yield f"{path.relative_to(ROOT)}:{node.lineno}", found[1]
+
+
+HINTING = {"UserError", "Reason", "DoctorFinding", "complain"}
+
+
+def test_every_command_in_a_hint_exists_with_its_options():
+    found = list(hints())
+    assert len(found) > 60
+    for place, text in found:
+        words, command = text.split(), typer.main.get_command(command_line.app)
+        while hasattr(command, "resolve_command"):
+            word = words.pop(0).strip(".:") if words else ""
+            assert word in command.commands, f"{place}: zenav {text}"
+            command = command.commands[word]
+        options = {option for param in command.params for option in (*param.opts, "--help")}
+        asked = {word.split("=")[0].strip(".:") for word in words if word.startswith("--")}
+        assert asked <= options, f"{place}: zenav {text}"
 
 
 def test_help_imports_nothing_heavy():

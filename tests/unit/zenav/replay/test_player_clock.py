@@ -155,9 +155,16 @@ def test_whatever_is_cut_or_flipped_is_read_or_told(small, data):
     assert there.keys
 
 
+OBEYED = {"cmd/nav", "cmd/teleop", "cmd/vel", "goal", "recovery", "estop", "hardware/motors", "hardware/velocity"}
+
+
+def test_the_keys_that_a_robot_obeys_are_topics():
+    assert {topic.key for topic in TOPICS} >= OBEYED
+
+
 @pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.key)
 def test_what_a_robot_obeys_is_played_only_when_that_is_asked_for(topic):
-    obeyed = topic.type in (Velocity, MotorCommand, Goal, EmergencyStop)
+    obeyed = topic.key in OBEYED
     assert (topic.key in COMMANDS) == obeyed
     if obeyed:
         assert refusal_text(topic.key, PlaybackOptions(), set()) is not None
