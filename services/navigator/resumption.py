@@ -78,6 +78,7 @@ class Resumption:
             away = 0.0 if before.paused else (now - before.stamp) * 1e-9
             dwell = max(before.dwell - away, 0.0)
         yield from navigation.resume(_task_of(before, navigation, self.share), dwell, before.paused, now)
+        navigation.age = before.age
 
     def tell(self, now: int) -> Out:
         """Publishes the task where it changed or the period is over."""

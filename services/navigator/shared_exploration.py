@@ -169,7 +169,7 @@ class SharedExploration:
                 if k is None:
                     k = len(places)
                     places.append((x, y))
-                bids[mate.share.robot][k] = cost
+                bids[mate.share.robot][k] = min(cost, bids[mate.share.robot].get(k, inf))
         listed = {name: [bid.get(k, inf) for k in range(len(places))] for name, bid in bids.items()}
         listed[self.name] = [frontier.distance for frontier in found.frontiers] + [inf] * (len(places) - len(own))
         near = dict(listed)

@@ -56,7 +56,7 @@ class Inbox:
             return True
 
     def take(self, timeout: float) -> tuple[Slot, Any] | None:
-        """The next item, waiting at most `timeout` s; None when there is none, or on `wake`."""
+        """The next item, waiting at most `timeout` s; None when there is none."""
         with self._ready:
             if not self._order and timeout > 0 and self._open:
                 self._ready.wait(timeout)
@@ -66,5 +66,5 @@ class Inbox:
             return slot, slot.items.popleft()
 
     def close(self) -> None:
-        """Ends all waiting. A signal handler may call it."""
+        """Later calls of `take` do not wait; one that waits ends by its timeout. A signal handler may call it."""
         self._open = False

@@ -31,15 +31,21 @@ class LatchedDisk:
             log.warning("%s cannot be kept for a restart: %s", key, error)
 
     def read(self, key: str) -> bytes | None:
-        """A key's value as bytes, or None."""
+        """A key's value as bytes, or None. An error is logged."""
         try:
             return self._path(key).read_bytes()
         except FileNotFoundError:
             return None
+        except OSError as error:
+            log.warning("%s of before the restart cannot be read: %s", key, error)
+            return None
 
     def remove(self, key: str) -> None:
-        """Removes a key's value."""
-        self._path(key).unlink(missing_ok=True)
+        """Removes a key's value. An error is logged."""
+        try:
+            self._path(key).unlink(missing_ok=True)
+        except OSError as error:
+            log.warning("%s stays for the next restart: %s", key, error)
 
     def _path(self, key: str) -> Path:
         return self.folder / f"{self._name}-{key.replace('/', '-')}.msgpack"

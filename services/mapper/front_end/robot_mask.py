@@ -34,7 +34,8 @@ class RobotMask:
         ends = map_from_base @ np.column_stack(
             (mount.x + scan.ranges * np.cos(beams), mount.y + scan.ranges * np.sin(beams))
         )
-        step = min(int((now - others.stamp) / NS_PER_S / others.period), others.xs.shape[1] - 1)
+        step = int((now - others.stamp) / NS_PER_S / others.period)
+        step = min(max(step, 0), others.xs.shape[1] - 1)
         hidden = np.zeros(len(beams), bool)
         for x, y, radius in zip(others.xs[:, step], others.ys[:, step], others.radii, strict=True):
             hidden |= np.hypot(ends[:, 0] - x, ends[:, 1] - y) < radius + MARGIN_M

@@ -85,6 +85,12 @@ def test_a_nearer_robot_takes_its_frontiers_until_its_lease_ends():
     assert own(sharing, found, now=S + LEASE + 1) == [(1.0, 0.0), (9.0, 0.0)]
 
 
+def test_of_two_places_of_a_robot_that_are_one_here_the_nearer_one_counts():
+    sharing = SharedExploration(CONFIG, "red", ("blue",), Pose2())
+    sharing.take(share_of("blue", 6.0, 0.0, [(9.2, 0.0, 3.0), (8.8, 0.0, 12.0)]), S)
+    assert own(sharing, frontiers((1.0, 0.0, 1.0), (9.0, 0.0, 8.0))) == [(1.0, 0.0)]
+
+
 @given(poses, poses)
 def test_the_frames_of_the_maps_do_not_matter(common_from_red, common_from_blue):
     """Both robots in one room: red's frontiers are given in its map, and what blue says in the common frame."""

@@ -46,5 +46,14 @@ def test_values_of_a_process_that_ended_long_ago_are_removed(disk, now):
     assert restored(disk, ENDED) == [], "nor is one of them taken for a newer process's"
 
 
+def test_values_that_cannot_be_read_are_none_and_do_not_stop_the_start(disk, caplog):
+    for path in list(disk.folder.iterdir()):
+        path.unlink()
+        path.mkdir()
+    assert restored(disk, ENDED) == []
+    disk.remove("pose")
+    assert "pose of before the restart cannot be read" in caplog.text
+
+
 def test_without_values_nothing_is_restored(tmp_path):
     assert restored(LatchedDisk(tmp_path / "none", "mapper"), ENDED) == []

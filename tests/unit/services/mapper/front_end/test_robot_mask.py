@@ -28,3 +28,20 @@ def test_the_beams_on_a_robot_are_taken_out_and_no_others():
     assert taken[np.cos(bearings) > np.cos(0.2)].all()
     assert not taken[np.cos(bearings) < np.cos(0.35)].any()
     assert mask.masked(scan, LASER.mount, ROBOT, NOW + 2 * MAX_AGE_NS) is scan, "too old"
+
+
+def test_places_that_are_stamped_ahead_count_as_those_of_now():
+    scan = sample.scan(NOW, LASER, np.full(LASER.n_beams, 2.0, np.float32))
+    ahead = ROBOT @ Pose2(LASER.mount.x + 2.0, LASER.mount.y)
+    goes_away = np.linspace(0.0, 9.0, 17, dtype=np.float32)[None]
+    mask = RobotMask()
+    stamp = NOW + MAX_AGE_NS // 2
+    mask.others = OtherRobots(
+        stamp,
+        ("blue",),
+        np.full(1, 0.3, np.float32),
+        0.25,
+        np.float32(ahead.x) + goes_away,
+        np.float32(ahead.y) + goes_away,
+    )
+    assert (np.asarray(mask.masked(scan, LASER.mount, ROBOT, NOW).ranges) == 0.0).any()
