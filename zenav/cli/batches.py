@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from zenav.cli.parts import BaseFrame, Command, OdomFrame, Registrar, RobotName, Setting, TopicOdom, TopicScan, group
+from zenav.cli.parts import BaseFrame, Command, OdomFrame, Registrar, Setting, TopicOdom, TopicScan, group
 
 batch = group("One work over many recordings, here or on a cluster: a table, and what changed since the last run.")
 

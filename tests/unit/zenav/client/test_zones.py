@@ -13,7 +13,6 @@ from zenav.client import zones
 from zenav.client.zones import FILE, add_zone, zones_in
 from zenav.maps.map_files import MAPS_FOLDER
 
-
 CHANGE_ACTIVE = zones._change_active
 
 

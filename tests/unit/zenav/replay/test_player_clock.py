@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from shared import topics
 from shared.codec import CodecError, Envelope, decode, encode
 from shared.config import UserError
-from shared.messages import EmergencyStop, Goal, MotorCommand, Velocity
 from shared.recording import Channel, Entry, Recording, Writer, sink
 from shared.recordings.latched_state import LatchedState
 from shared.runners.admission import Admission, Verdict
