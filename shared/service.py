@@ -44,7 +44,7 @@ S = TypeVar("S", bound="Service")
 class Job:
     """Work off the event path: `function(*arguments)` is pure; its result calls the method named `done`.
 
-    takes: s, its duration in lockstep. One job of a `done` name runs at a time; a newer one waits.
+    takes: s, its duration in lockstep. A service's jobs run one at a time, in their order.
     """
 
     function: Callable[..., Any]

@@ -43,7 +43,7 @@ MAX_ODOM_AGE_S = 1.0  # after its stamp; late odometry still gives the pose of e
 
 
 class GuardService(Service):
-    """Applies arbitration, stop conditions, acceleration limits and the protective field, in this order."""
+    """Applies arbitration, stop conditions, protective field and acceleration limits; then the field once more."""
 
     config_type = GuardConfig
     config: GuardConfig

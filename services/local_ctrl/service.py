@@ -62,12 +62,11 @@ class LocalCtrlService(Service):
         reach = costmap_reach(config, self.limits, self.footprint)
         self.costmap = LocalCostmap(config.tracked_costmap, reach, config.latency)
         self.inputs = ControlInputs(config.ages, robot)
-        controller = CONTROLLERS[config.controller](config, self.limits)
         self.zones = LocalZones(robot)
         self.path_follower = PathFollower(
             config=config.path_following,
             cost_to_go=config.cost_to_go,
-            controller=controller,
+            controller=CONTROLLERS[config.controller](config, self.limits),
             limits=self.limits,
             footprint=self.footprint,
             zones=self.zones,

@@ -50,7 +50,7 @@ def refusal_reason(
 
 
 def needs_check(grid: OccupancyGrid, limits: GoalLimits, inscribed_radius: float, poses: tuple[Pose2, ...]) -> Bools:
-    """(n,) bool: which poses `refusal_reason` may refuse. The others stand on free cells."""
+    """(n,) bool: which poses `refusal_reason` may refuse. The others are far enough from every occupied cell."""
     if len(poses) <= MAX_SINGLE_CHECKS or grid.empty:
         return np.ones(len(poses), bool)
     distance = distance_field(grid.occupied, 1.0) * grid.resolution

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The state machine of the navigator: one task at a time; each state has a clock that ends it."""
+"""The state machine of the navigator: one task at a time. A clock ends each state but a pause and a wait for robots."""
 
 from math import inf
 

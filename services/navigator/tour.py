@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The shortest open tour through all frontiers: nearest neighbour and Or-2-opt (Croes 1958)."""
+"""A short open tour through frontiers: nearest neighbour and Or-2-opt (Croes 1958)."""
 
 import numpy as np
 from numba import njit

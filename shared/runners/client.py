@@ -108,7 +108,9 @@ class Client:
         self.session.put(key, payload, congestion_control=zenoh.CongestionControl.DROP)
 
     def listen(self, topic: Topic[M], callback: Callback[M]) -> None:
-        """Calls back with each message on a topic, all of a family's keys too; the kept value first, if it has one.
+        """Calls back with each message on a topic, all of a family's keys too, and with the kept value.
+
+        The kept value comes first, unless a newer message overtakes it.
 
         The callback runs on a thread of Zenoh's: it files, and returns.
         """

@@ -68,7 +68,7 @@ def device_opener(
 ) -> DeviceOpener:
     """The opener of a service that brings devices, by kind; of other kinds there are those of port.py.
 
-    options: of the process (arguments.py).
+    options: of the process (service_start.py).
     """
     settings = (argument for setting in options.set for argument in ("--set", setting))
     arguments = ("--robot", options.robot, "--stack", options.stack, *settings)

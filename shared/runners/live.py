@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The process of one service.
 
-It ends within milliseconds on SIGINT and SIGTERM. An exception ends it with the traceback and status 1.
+It ends within half a second on SIGINT and SIGTERM. An exception ends it with the traceback and status 1.
 """
 
 import gc

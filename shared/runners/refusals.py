@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages that a live runner rejects before its service. It reports them to the service a few times a second."""
+"""Messages that a live runner rejects before its service. It reports them to the service 20 times a second at most."""
 
 from collections import deque
 from collections.abc import Sized

@@ -153,7 +153,7 @@ def up(
 def warm(
     robot: RobotName = "x80sv",
     set_: Setting = None,
-    every: Annotated[bool, typer.Option("--all", help="For every controller and kind of robot.")] = False,
+    every: Annotated[bool, typer.Option("--all", help="For every controller, on the X80SV and the Jackal.")] = False,
     again: Annotated[bool, typer.Option("--again", help="Remove what is compiled first.")] = False,
     times: Annotated[bool, typer.Option("--times", help="List what each kernel took, in s of CPU.")] = False,
 ) -> None:

@@ -26,8 +26,8 @@ with connect() as robot:
 ```
 
 An error that the user can fix is a `shared.config.UserError`: `what` and `hint`. The program
-[explore_and_visit.py](../examples/explore_and_visit.py) uses all of this. `Client` is the session below, for all topics
-and requests of [messages.md](messages.md). Programs in other languages use [the wire](wire.md).
+[explore_and_visit.py](../examples/explore_and_visit.py) shows most of it. `robot.client` is the `Client` below, the
+session for all topics and requests of [messages.md](messages.md). Programs in other languages use [the wire](wire.md).
 """
 
 

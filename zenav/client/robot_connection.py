@@ -16,6 +16,7 @@ from shared.grid import OccupancyGrid
 from shared.messages import GuardState, NavStatus
 from shared.reasons import ESTOP, NO_MAP, POSE_OLD, REASONS
 from shared.requests import Cancel, Explore, Reply
+from shared.robot_files import own_name_and_kind
 from shared.runners.client import Client
 from shared.runners.stop_confirmation import confirm_stop
 from shared.runners.transport import stack_address
@@ -165,9 +166,13 @@ def connect(robot: str = "", stack: str = "") -> RobotConnection:
     """The robot of a running stack, once its navigator answers and has a map.
 
     robot: name or YAML file, as for --robot.  stack: number or router, as for --stack. Empty: those of the environment
-    variables ZENAV_ROBOT and ZENAV_STACK, else x80sv and 0. Raises UserError after 30 s.
+    variables ZENAV_ROBOT, ZENAV_NAME and ZENAV_STACK, else x80sv and 0. One of several robots of a kind is
+    `red@x80sv`. It waits 30 s for the navigator and 30 s for a map, then raises UserError.
     """
-    robot = robot or os.environ.get("ZENAV_ROBOT", "x80sv")  # noqa: TID251  # as the command line does
+    if not robot:
+        robot = os.environ.get("ZENAV_ROBOT", "x80sv")  # noqa: TID251  # as the command line does
+        if name := os.environ.get("ZENAV_NAME", ""):  # noqa: TID251
+            robot = f"{name}@{own_name_and_kind(robot)[1]}"
     stack = stack or os.environ.get("ZENAV_STACK", "0")  # noqa: TID251
     client = Client(load_robot(robot).robot.name, stack_address(stack)).__enter__()
     client.follow(topics.NAV_STATUS, topics.POSE, topics.MAP, topics.GUARD)

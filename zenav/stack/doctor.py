@@ -236,7 +236,7 @@ def robot_ports(robot: str) -> Iterator[DoctorFinding]:
 
     To open a serial port restarts some boards, so a running stack would lose its own.
     """
-    from shared.config import load_robot
+    from shared.config import Section, load_robot
     from shared.ports import PortConfig
     from shared.runners.port import access_error
     from zenav.stack.config_report import read_sections
@@ -249,7 +249,7 @@ def robot_ports(robot: str) -> Iterator[DoctorFinding]:
     except UserError as error:
         yield DoctorFinding("robot", BAD, error.what, error.hint)
         return
-    devices = {(driver,): sections[driver] for driver in drivers}
+    devices: dict[tuple[str, ...], Section] = {(driver,): sections[driver] for driver in drivers}
     devices |= {
         (driver, "laser_2"): second for driver in drivers if (second := getattr(sections[driver], "laser_2", None))
     }

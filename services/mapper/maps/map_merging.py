@@ -2,8 +2,8 @@
 """One map from two of one building: their pose graphs are joined by loop closures and optimized together.
 
 `map_overlap` gives the transform. Keyframes of the second map are then matched with submaps of the first, and the
-robust kernel rejects the closures that contradict the others. At last the second map's scans must not contradict the
-first map.
+robust kernel rejects the closures that contradict the others. At last few of the second map's scans may contradict
+the first map.
 
 The joint by loop closures is that of Cartographer's multiple trajectories (Hess et al., ICRA 2016, section V). The last
 check is our own.

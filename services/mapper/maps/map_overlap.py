@@ -3,7 +3,7 @@
 
 Each place of the second map is searched on the whole first map, as a robot without a pose is. Every pose that it may
 have there proposes a transform. A transform is then judged by all places of the second map that it puts onto known
-space of the first. They must match there: no beam may end in free space or pass a wall. So a place that
+space of the first. They must match there: few beams may end in free space or pass a wall. So a place that
 looks alike elsewhere proposes a wrong transform, and the rest of the map contradicts it. Where a second transform
 holds too, as in a row of equal rooms, none is certain.
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bytes of each protocol as its public document has them."""
 
+import re
 from math import nan
 
 import pytest
@@ -12,6 +13,7 @@ from services.base_driver.boards.velocity import VelocityBoard
 from shared.board_framing import LineCounts, LineFramer, PacketReader, crc16, xor
 from shared.velocity_board import framed_line, is_newer, line_fields
 from tests.unit.services.base_driver.boards.wired import WiredBoard
+from zenav.stack.launch import ROOT
 
 
 def test_the_crc_is_xmodem_s_check_value():
@@ -73,6 +75,15 @@ def test_the_velocity_board_s_lines():
     assert is_newer(0, 65535)
     assert not is_newer(5, 5)
     assert not is_newer(65535, 0)
+
+
+def test_the_manual_s_line_is_a_report():
+    text = (ROOT / "docs" / "velocity_board.md").read_text()
+    (line,) = re.findall(r"^ +(\$T,.+\*[0-9A-F]{4})$", text, re.M)
+    wired = WiredBoard("velocity")
+    received = wired.service.serial.device.receive(line.encode() + b"\n", 1, 1)
+    assert received.report.battery == 7.4
+    assert received.n_reports == 1
 
 
 @pytest.mark.parametrize(
