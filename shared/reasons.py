@@ -45,6 +45,7 @@ SCAN_UNLIKE     = Reason("scan_unlike", "the scan's beams are not those of robot
 SCAN_FROZEN     = Reason("scan_frozen", "the laser repeats one scan", "its driver publishes an old buffer with new stamps: restart it, check its cable", "hold")
 SCAN_BLIND      = Reason("scan_blind", "the laser sees nothing where the robot drives", "is it covered, dirty or unplugged? guard/status counts its beams; drive away by hand; in open air set guard.view.min_share to 0", "hold")
 SCAN_EMPTY      = Reason("scan_empty", "slowed: nothing returns from where the robot drives", "in halls wider than the laser's range and in open air set guard.view.min_ahead to 0", "info")
+NO_SENSOR       = Reason("no_sensor", "slowed: no sensor looks where the robot drives", "turn round, or add a laser or range sensor for that direction to the robot's file", "info")
 POSE_OLD        = Reason("pose_old", "the pose on the map is missing or old", "is the mapper running? zenav topic hz pose", "hold")
 POSE_LOST       = Reason("pose_lost", "the robot does not know where it is", "drive a few metres by hand, or give its pose: zenav map mode localise --at X Y DEG", "stop")
 POSE_JUMPED     = Reason("pose_jumped", "the pose jumped by over 0.5 m", "a new plan to the goal is made; nothing to do", "hold")

@@ -105,7 +105,8 @@ class VelocityLimiter:
         state, reason = _state_and_reason(command, wanted, (v, w), wanted_limit, tighter)
         if view_reason is not None and state is GuardState.ACTIVE and tighter.share == 1:
             blind = [laser for laser in self.inputs.lasers if laser.is_blind or view_reason is reasons.SCAN_EMPTY]
-            reason, detail, speed_limit = view_reason.code, view_detail(blind), field.blind_speed
+            detail = "" if view_reason is reasons.NO_SENSOR else view_detail(blind)
+            reason, speed_limit = view_reason.code, field.blind_speed
         if leaves and state is GuardState.ACTIVE and not reason:
             reason, speed_limit = reasons.LEAVING_CONTACT.code, field.creep_speed
             detail = self.inputs.contacts.detail()
@@ -161,7 +162,7 @@ class VelocityLimiter:
         if is_sensed or is_seen:
             return (v, w), None
         share = blind_speed / abs(v)
-        return (v * share, w * share), reasons.SCAN_EMPTY if in_sweep else None
+        return (v * share, w * share), reasons.SCAN_EMPTY if in_sweep else reasons.NO_SENSOR
 
 
 def _state_and_reason(

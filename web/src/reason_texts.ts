@@ -46,6 +46,7 @@ export const REASON_TEXTS: Readonly<Record<string, ReasonText>> = {
   },
   scan_frozen: { de: ["Der Laser wiederholt einen Scan", "Starte seinen Treiber neu, prüfe sein Kabel."] },
   scan_blind: { de: ["Der Laser sieht nichts, wohin der Roboter fährt", "Ist er verdeckt, schmutzig oder ausgesteckt?"] },
+  no_sensor: { de: ["Langsam: kein Sensor sieht in die Fahrtrichtung", "Wende, oder ergänze dort einen Sensor."] },
   scan_empty: { de: ["Langsam: aus der Fahrtrichtung kommt nichts zurück", "In weiten Hallen: guard.view.min_ahead auf 0."] },
   pose_old: { de: ["Die Pose fehlt oder ist alt", "Läuft der Mapper? Siehe Dienste."], hint: "Does the mapper run? See Services." },
   pose_lost: { de: ["Der Roboter weiß nicht, wo er ist", "Fahre ein paar Meter von Hand, oder setze seine Pose."], hint: "Drive a few metres by hand, or set its pose." },

@@ -274,6 +274,18 @@ def test_a_robot_that_drives_arcs_like_a_car_s_is_held_to_them_whoever_commands(
     assert drive.velocity == pytest.approx((0.3, 0.6))
 
 
+def test_backward_where_no_sensor_looks_it_is_slow_and_says_so():
+    backward = JACKAL.drive.model_copy(update={"max_reverse_speed": 0.4})
+    drive = GuardDrive(JACKAL.model_copy(update={"drive": backward}))  # its laser sees 270 degrees
+    drive.nav = (-0.4, 0.0)
+    drive.run(1.5)
+    assert drive.velocity[0] == pytest.approx(-drive.guard.config.field.blind_speed)
+    assert drive.decision == (GuardState.ACTIVE, "no_sensor")
+    drive.nav = (0.4, 0.0)
+    drive.run(1.5)
+    assert drive.decision == (GuardState.ACTIVE, "")
+
+
 def test_why_navigation_is_slow_is_passed_on_to_people():
     drive = driving()
     for _ in range(5):
