@@ -9,7 +9,7 @@ from enum import Enum, auto
 
 from shared.codec import Envelope
 from shared.messages import Message
-from shared.stamps import precedes
+from shared.stamps import FUTURE, precedes
 from shared.topics import Topic
 
 SILENT_AFTER = 300_000_000
@@ -30,6 +30,8 @@ class Admission:
 
     def __init__(self, topic: Topic[Message]) -> None:
         self._topic = topic
+        # events of several publishers, as STOP, whose clocks differ: each counts, and its stamp says for what
+        self._is_of_several = topic.hz == 0 and topic.by != "*" and len(topic.publishers) > 1
         self._session = ""
         self._sequence = -1
         self._sent = 0
@@ -57,8 +59,8 @@ class Admission:
                 return Verdict.OLD
             gap = envelope.sequence > self._sequence + 1
             self.complete = kept or (self.complete and not gap)
-        elif self._topic.hz == 0:  # events: any publisher's, in the order in which they were sent
-            if precedes(envelope.sent, self._sent, now):
+        elif self._topic.hz == 0:
+            if (kept or not self._is_of_several) and precedes(envelope.sent, self._sent, now):
                 self.words = "sent before the last one"
                 return Verdict.OLD
             gap = False
@@ -75,5 +77,6 @@ class Admission:
         if not kept:
             self._arrived = envelope.sequence
         self._session, self._sequence, self._heard = envelope.session, envelope.sequence, now
-        self._sent = min(envelope.sent, now)  # a clock that is ahead must not make later messages old
+        newest = self._sent if self._is_of_several and self._sent <= now + FUTURE else 0
+        self._sent = max(min(envelope.sent, now), newest)  # a clock that is ahead must not make later messages old
         return Verdict.GAP if gap else Verdict.TAKE

@@ -32,8 +32,8 @@ class LatchedStore:
     def restore(self, now: int, wrong: Callable[[str, int], None]) -> Iterator[tuple[str, Message, Envelope]]:
         """The last messages before a restart, if the newest is at most MAX_RESTART_AGE_NS old; else they are removed.
 
-        One that rarely changes, as a map's edits, may be older: the newest shows when the process ended. Settings are
-        taken at any age. wrong: called with damage and `now`.
+        One that rarely changes, as a map's edits, may be older: the newest shows when the process ended. Where that is
+        ahead of `now`, the clock was set back. Settings are taken at any age. wrong: called with damage and `now`.
         """
         disk, restored = self._disk, []
         for key in self._own if disk is not None else ():
@@ -46,7 +46,7 @@ class LatchedStore:
                 wrong(f"{key}: what was kept from before the restart is damaged: {error}", now)
         newest = max((envelope.sent for _, _, envelope in restored), default=0)
         for key, message, envelope in restored:
-            if topics.topic_of(key) is topics.SETTINGS or 0 <= now - newest <= MAX_RESTART_AGE_NS:
+            if topics.topic_of(key) is topics.SETTINGS or abs(now - newest) <= MAX_RESTART_AGE_NS:
                 log.info("taking up %s from before the restart", key)
                 self._values[key] = message
                 yield key, message, envelope

@@ -125,7 +125,7 @@ class LiveRunner:
             self._take_raws()
             now = self.clock.now()
             self._refusals.report(self.host, now)
-            if now >= report:
+            if now >= report or report - now > NS_PER_S:  # due, or the clock was set back
                 self._report(now)
                 report, interval = now + interval, min(2 * interval, NS_PER_S)
             first = min(self._timers, key=attrgetter("due"), default=None)

@@ -52,11 +52,19 @@ def test_only_the_registrys_publisher_is_heard(publisher):
     assert Admission(topics.CMD_VEL).judge(at(0, 0, publisher=publisher), 0) is Verdict.INTRUDER
 
 
-def test_events_are_taken_from_any_operator_in_the_order_of_sending():
+def test_stop_is_taken_from_every_operator_also_from_one_whose_clock_is_behind():
     admission = Admission(topics.ESTOP)
-    assert admission.judge(at(0, 10, "a", "operator"), 10) is Verdict.TAKE
-    assert admission.judge(at(0, 20, "b", "operator"), 20) is Verdict.TAKE
-    assert admission.judge(at(1, 15, "a", "operator"), 30) is Verdict.OLD
+    assert admission.judge(at(0, 60 * SECOND, "a", "dashboard"), 60 * SECOND) is Verdict.TAKE
+    assert admission.judge(at(0, 42 * SECOND, "b", "operator"), 62 * SECOND) is Verdict.TAKE
+    assert admission.judge(at(0, 42 * SECOND, "b", "operator"), 62 * SECOND) is Verdict.OLD
+    assert admission.judge(at(0, 55 * SECOND, "c", "operator"), 63 * SECOND, kept=True) is Verdict.OLD
+    assert admission.judge(at(1, 61 * SECOND, "a", "dashboard"), 64 * SECOND, kept=True) is Verdict.TAKE
+
+
+def test_events_of_one_publisher_are_taken_in_the_order_of_sending():
+    admission = Admission(topics.GOAL)
+    assert admission.judge(at(0, 20, "b", "navigator"), 20) is Verdict.TAKE
+    assert admission.judge(at(1, 15, "a", "navigator"), 30) is Verdict.OLD
 
 
 def test_what_is_kept_is_taken_where_its_last_part_was_overheard():
@@ -103,7 +111,7 @@ def test_complete_means_that_nothing_is_missing(arrivals):
 
 def test_what_came_from_a_clock_that_was_ahead_makes_nothing_old():
     now = 1000 * SECOND
-    for topic, publisher in ((topics.ESTOP, "operator"), (topics.SCAN, "lidar_driver")):
+    for topic, publisher in ((topics.GOAL, "navigator"), (topics.SCAN, "lidar_driver")):
         admission = Admission(topic)
         assert admission.judge(at(0, now + 10 * SECOND, "a", publisher), now) is Verdict.TAKE
         later = now + 2 * SECOND

@@ -40,7 +40,11 @@ def test_what_rarely_changes_is_restored_with_what_changes_often(disk):
     assert restored(disk, ENDED + MAX_RESTART_AGE_NS) == KEYS
 
 
-@pytest.mark.parametrize("now", [ENDED + MAX_RESTART_AGE_NS + 1, ENDED - 1])
+def test_a_clock_that_was_set_back_loses_nothing(disk):
+    assert restored(disk, ENDED - 25 * NS_PER_S) == KEYS
+
+
+@pytest.mark.parametrize("now", [ENDED + MAX_RESTART_AGE_NS + 1, ENDED - MAX_RESTART_AGE_NS - 1])
 def test_values_of_a_process_that_ended_long_ago_are_removed(disk, now):
     assert restored(disk, now) == []
     assert restored(disk, ENDED) == [], "nor is one of them taken for a newer process's"
