@@ -173,7 +173,11 @@ def found(config: PortConfig) -> str:
     """The device's present path, by its USB serial number where that is given. Raises FileNotFoundError."""
     if not config.by_number:
         return config.device
-    for candidate in list_ports.comports():
+    try:
+        candidates = list_ports.comports()
+    except (TypeError, ValueError) as error:  # pyserial read files of a device that just went
+        raise FileNotFoundError(errno.ENOENT, "the USB devices change") from error
+    for candidate in candidates:
         if candidate.serial_number == config.serial_number:
             return str(candidate.device)
     raise FileNotFoundError(errno.ENOENT, f"no USB adapter with serial number {config.serial_number}")
@@ -191,6 +195,8 @@ class SerialLine:
             self._port.open()
         except ValueError as error:
             raise OSError(errno.EINVAL, str(error)) from None
+        except termios.error as error:
+            raise _gone(error) from None
 
     def read(self) -> bytes:
         """All received bytes in one call: pyserial reads a socket byte by byte, and a device in two steps."""
@@ -207,11 +213,19 @@ class SerialLine:
         try:
             self._port.write(data)
         except serial.SerialTimeoutException:
-            self._port.reset_output_buffer()  # the line stalls: an old command must not be sent later
+            try:
+                self._port.reset_output_buffer()  # the line stalls: an old command must not be sent later
+            except termios.error as error:
+                raise _gone(error) from None
 
     def close(self) -> None:
         with suppress(OSError, termios.error):
             self._port.close()
+
+
+def _gone(error: termios.error) -> OSError:
+    """The error of a device that went while it was set, which pyserial passes on as it is."""
+    return OSError(error.args[0] if error.args else errno.EIO, str(error))
 
 
 class Datagrams:

@@ -8,6 +8,7 @@ import queue
 import socket
 import subprocess
 import sys
+import termios
 import threading
 import tty
 from collections.abc import Iterator
@@ -16,6 +17,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from serial import serialposix
 
 from shared.messages import PortState, SerialData
 from shared.ports import PortConfig
@@ -116,6 +118,37 @@ def test_an_adapter_is_found_by_its_serial_number_under_another_name(tmp_path, m
                 pass
             other.write(b"here")
             assert at_near.data(4) == b"here"
+
+
+@pytest.mark.parametrize("step", ["tcgetattr", "tcflush"])
+def test_an_adapter_that_goes_while_it_is_opened_is_tried_again(step, monkeypatch):
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    device, fails = os.ttyname(slave), iter([True, True])
+
+    def goes_twice(*arguments):
+        if next(fails, False):
+            raise termios.error(errno.EIO, "Input/output error")
+        return getattr(termios, step)(*arguments)
+
+    monkeypatch.setattr(serialposix, "termios", SimpleNamespace(**{**vars(termios), step: goes_twice}))
+    with running(device) as (_, heard):
+        assert not heard.state().open
+        assert heard.state().open
+    os.close(master)
+    os.close(slave)
+
+
+def test_usb_devices_that_go_while_they_are_listed_are_looked_for_again(tmp_path, monkeypatch):
+    def half_there():
+        raise TypeError("int() argument must be a string")
+
+    monkeypatch.setattr(ports.list_ports, "comports", half_there)
+    adapter = SimpleNamespace(serial_number="A6", device=f"pty:{tmp_path / 'line'}")
+    with running("", serial_number="A6") as (_, heard):
+        assert not heard.state().open
+        monkeypatch.setattr(ports.list_ports, "comports", lambda: [adapter])
+        assert heard.state().open
 
 
 def test_a_line_that_nobody_reads_holds_up_neither_the_service_nor_later_bytes(tmp_path):
