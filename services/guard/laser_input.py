@@ -32,7 +32,7 @@ class LaserInput:
         """Takes the next usable scan. Returns whether the laser begins to repeat one scan with it."""
         self.scan, self.valid_from = scan, min(scan_end(scan), now)
         self.visibility.add_scan(scan, track, now)
-        obstacles.add_scan(scan, track, self.visibility.is_covered, self.laser)
+        obstacles.add_scan(scan, track, self.visibility.is_covered, self.laser, self.visibility.has_seen)
         # a covered laser measures the same ranges always: then the cover is the cause
         was_frozen = self.is_frozen
         self.is_frozen = self.repeats.take(scan, track.odom_from_base) and not self.visibility.is_covered

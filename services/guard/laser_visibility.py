@@ -161,6 +161,13 @@ class LaserVisibility:
         is_recent = now - self._seen_at[about] <= round(self.config.blind_after * 1e9)
         return bool(len(about)) and float(is_recent.mean()) < self.config.min_ahead
 
+    def has_seen(self, bearings: Float64s) -> Bools:
+        """(n,) whether anything ever returned from these bearings in `laser`, rad; else a part of the robot hides them.
+
+        Beams that the driver masks, or that end in the footprint, never return.
+        """
+        return np.asarray(self._seen_at[self._directions_of(bearings)] > 0)
+
     @property
     def is_covered(self) -> bool:
         """Whether under `min_share` of the last scan's beams returned from outside the robot."""

@@ -5,6 +5,7 @@ Points without neighbours are noise, as in the radius outlier removal of PCL. He
 point, and points of the scan before. The memory of points out of view is our own.
 """
 
+from collections.abc import Callable
 from math import pi
 
 import numpy as np
@@ -79,12 +80,17 @@ class Obstacles:
         return np.concatenate(list(self._solid_of.values()))
 
     def add_scan(
-        self, scan: LaserScan, track: OdometryBuffer, covered: bool = False, laser: Laser | None = None
+        self,
+        scan: LaserScan,
+        track: OdometryBuffer,
+        covered: bool = False,
+        laser: Laser | None = None,
+        has_seen: Callable[[Float64s], Bools] = lambda bearings: np.ones(len(bearings), bool),
     ) -> None:
         """Replaces the points of a laser's last scan. Points outside the new scan's view are remembered.
 
         covered: hardly any beam leaves the robot, so returns from inside its outline are its own.
-        laser: whose scan it is; none: the first one's.
+        laser: whose scan it is; none: the first one's.  has_seen: (n,) whether the laser can see along bearings, rad.
         """
         laser = laser or self.robot.laser
         mount = laser.mount
@@ -92,7 +98,7 @@ class Obstacles:
         stride = -(-len(scan.ranges) // MAX_BEAMS)
         ends, radius = self._ends(scan, track, base_from_laser, stride, covered)
         solid = is_supported(ends, self._seen[laser.name], radius, self.config.min_points)
-        self._update_remembered(scan, track, base_from_laser, self._solid_of[laser.name])
+        self._update_remembered(scan, track, base_from_laser, self._solid_of[laser.name], has_seen)
         self._seen[laser.name], self._solid_of[laser.name] = ends[np.isfinite(ends[:, 0])], ends[solid]
 
     def add_ranges(self, readings: RangeReadings, track: OdometryBuffer) -> None:
@@ -127,14 +133,19 @@ class Obstacles:
         return ends, self.config.support_radius + radius
 
     def _update_remembered(
-        self, scan: LaserScan, track: OdometryBuffer, base_from_laser: Pose2, before: Float64s
+        self,
+        scan: LaserScan,
+        track: OdometryBuffer,
+        base_from_laser: Pose2,
+        before: Float64s,
+        has_seen: Callable[[Float64s], Bools],
     ) -> None:
         """Keeps the points, of the laser's scan before (n, 2) and of those remembered, that this scan could not see."""
         points = np.concatenate([before, self._remembered])
         seen = np.concatenate([np.full(len(before), scan.stamp * 1e-9), self._remembered_at])
         odom_from_base = _pose(track.poses(np.array([scan.scan_time / 2]), scan.stamp)[0])
         distance, bearing = _polar((odom_from_base @ base_from_laser).inverse() @ points)
-        looked = is_in_sweep(scan, bearing)
+        looked = is_in_sweep(scan, bearing) & has_seen(bearing)
         too_near = looked & (distance < scan.range_min + 0.02)
         is_recent = scan.stamp * 1e-9 - seen <= self.config.memory
         here = track.odom_from_base

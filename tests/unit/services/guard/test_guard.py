@@ -286,6 +286,38 @@ def test_backward_where_no_sensor_looks_it_is_slow_and_says_so():
     assert drive.decision == (GuardState.ACTIVE, "")
 
 
+class MaskedDrive(GuardDrive):
+    """The driver of its laser masks 60 degrees behind, where a mast stands."""
+
+    def scan(self, **fields):
+        laser = self.robot.laser
+        bearings = laser.mount.yaw + laser.angle_min + laser.angle_increment * np.arange(laser.n_beams)
+        take = self.guard.laser
+
+        def masked(scan):
+            is_masked = np.cos(bearings) < -np.cos(pi / 6)
+            return take(replace(scan, ranges=np.where(is_masked, np.float32(nan), scan.ranges)))
+
+        self.guard.laser = masked
+        try:
+            return super().scan(**fields)
+        finally:
+            self.guard.laser = take
+
+
+def test_what_comes_to_stand_in_a_masked_sector_is_remembered():
+    box = np.column_stack((np.full(60, -0.75), np.linspace(-0.15, 0.15, 60)))
+    drive = MaskedDrive(obstacles=box)
+    drive.odom_from_base = Pose2(0, 0, pi)
+    drive.run(1.0)
+    for k in range(20):
+        drive.odom_from_base = Pose2(0, 0, pi - pi * (k + 1) / 20)
+        drive.run(0.1)
+    drive.teleop = (-0.3, 0.0)
+    drive.run(6.0)
+    assert drive.closest > 0.02
+
+
 def test_why_navigation_is_slow_is_passed_on_to_people():
     drive = driving()
     for _ in range(5):
