@@ -170,6 +170,8 @@ class BaseDriverService(Service):
             yield from (topics.WHEELS(state) for state in self.encoders.update(report, self.now))
         elif self.velocity_base is not None:
             yield topics.BASE_ODOMETRY(self.velocity_base.update(report, self.now))
+        if not 0 <= self.now - self.drove_at <= MAX_PAUSE_NS:  # the clock was set, or the process slept
+            self.diagnosis.wheel_faults.restart()  # the wheels had no time to turn
         self.diagnosis.update(report, self.velocity_base or self.encoders, self.wheel_command, self.now)
         self._update_link()
         yield from self._status_if_changed()

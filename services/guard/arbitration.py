@@ -49,6 +49,11 @@ class CommandSource:
         self.command, self._valid_from = command, min(command.stamp, now)
         return True
 
+    def heard(self, now: int) -> None:
+        """A command came that is not used, as a late one: the source is not silent, and does not count as new."""
+        if not self.is_armed:
+            self._silent_since = max(self._silent_since, now)
+
     def disarm(self, now: int) -> None:
         """Requires a zero command or a silence before the source moves the robot again, after an e-stop release."""
         self.is_armed = False

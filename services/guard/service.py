@@ -112,8 +112,13 @@ class GuardService(Service):
 
     @on(topics.GUARD)
     def status_before_restart(self, status: GuardStatus) -> Out:
-        """Restores the e-stop from the guard's own last status: only a later release ends it."""
+        """Restores the e-stop from the guard's own last status: only a later release ends it.
+
+        After a release the sources still have to send zero first.
+        """
         self.stopped_at = max(self.stopped_at, status.stopped)
+        if status.reason == reasons.ESTOP_RELEASED.code:
+            self.inputs.disarm(self.now)
         if status.state is GuardState.STOPPED:
             self.inputs.set_estop(EmergencyStop(status.stamp, True, "from before a restart"), self.now)
             yield from self.drive()
@@ -228,8 +233,11 @@ class GuardService(Service):
 
     def _is_usable(self, topic: Topic[Velocity], command: Velocity, source: CommandSource) -> bool:
         """Whether a command's stamp is newer than the last one's and recent."""
-        last = source.command.stamp if source.command else None
-        return self.rejections.judge(topic.key, command.stamp, last, self.now, self.config.arbitration.command_age)
+        last, age = source.command.stamp if source.command else None, self.config.arbitration.command_age
+        is_usable = self.rejections.judge(topic.key, command.stamp, last, self.now, age)
+        if not is_usable and not source.is_zero(command):
+            source.heard(self.now)
+        return is_usable
 
     def _evaluate(self) -> GuardDecision:
         """The decision at `self.now`: a stop, or the active source's command within limits and field."""

@@ -78,7 +78,7 @@ class StopInputs:
         if self.estop is not None and precedes(stop.stamp, self.estop.stamp, now):
             return  # an older release than this press
         if self.estop is not None or self.fault:
-            self._disarm(now)
+            self.disarm(now)
         self.estop = None
 
     def set_contacts(self, contacts: Contacts, now: int) -> None:
@@ -94,12 +94,13 @@ class StopInputs:
     def set_base(self, status: BaseStatus, now: int) -> None:
         """Registers the base driver's status. The end of its e-stop is a release, also where none was received."""
         if self.fault == reasons.ESTOP.code != status.fault:
-            self._disarm(now)
+            self.disarm(now)
         if status.fault == reasons.ESTOP.code:
             self.override = None
         self.base = status
 
-    def _disarm(self, now: int) -> None:
+    def disarm(self, now: int) -> None:
+        """Both sources must send zero, or be silent, before they move the robot again."""
         self.nav.disarm(now)
         self.teleop.disarm(now)
 

@@ -127,6 +127,7 @@ class WheelDevice:
 
     def forget(self) -> None:
         self._history.clear()
+        self.fault = ""
 
     def dead_sensors(self, now: int) -> str:
         return ""

@@ -86,6 +86,20 @@ class DriverBench:
         return body_velocity(*wheel_angles(*self.motors(), self.robot.drive), self.robot.drive)
 
 
+@pytest.mark.parametrize("speed", [0.1, 0.3, 0.6])
+def test_a_clock_that_is_set_ahead_while_the_robot_drives_is_no_stuck_wheel(speed):
+    bench = DriverBench()
+    bench.run(2.0, speed)
+    bench.service.now += 5010 * MS
+    left, right = bench.motors()
+    bench.left += 0.01 * left
+    bench.right += 0.01 * right
+    bench.report()
+    assert bench.service.fault not in ("wheel_stuck", "wheel_astray")
+    bench.run(0.5, speed)
+    assert bench.service.fault == ""
+
+
 def test_a_command_reaches_the_board_by_the_document_s_equations():
     bench = DriverBench().run(0.1, 0.4, 0.5)
     assert bench.motors() == pytest.approx(board_counts(*wheel_speeds(0.4, 0.5, ROBOT.drive), ROBOT.drive))

@@ -16,6 +16,7 @@ from shared.config import load_robot
 from shared.drrobot import BOARD, Deframer
 from shared.messages import BoardReport, EmergencyStop, PortState, SerialData, Velocity
 from tests.strategies import faults
+from tests.unit.services.base_driver.boards.wired import WiredBoard
 
 ROBOT = load_robot("x80sv").robot
 MS = 1_000_000
@@ -296,6 +297,15 @@ def test_a_port_that_is_away_says_why_at_once():
     wired.port()
     wired.run(0.04)
     assert wired.last(topics.BASE_STATUS).fault == ""
+
+
+def test_what_the_board_reported_before_it_went_is_no_fault_now():
+    wired = WiredBoard("kobuki").run(0.5, 0.0)
+    wired.service.serial.device.fault = "the board reports too much current of the left wheel"
+    wired.service.now += MS
+    list(wired.service.port(PortState(wired.service.now, "board", False, "/dev/ttyUSB0 is away")))
+    status = wired.status()
+    assert (status.fault, status.detail) == ("port_closed", "/dev/ttyUSB0 is away")
 
 
 def test_a_port_that_never_opened_says_why():

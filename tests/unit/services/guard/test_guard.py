@@ -366,6 +366,40 @@ def test_stop_outlives_the_guard_until_a_later_release():
     assert drive.velocity == pytest.approx((0.5, 0.0))
 
 
+def test_a_release_before_the_guard_s_restart_still_asks_for_zero_first():
+    before = driving()
+    before.stop(True)
+    before.run(0.2)
+    before.stop(False)
+    before.run(0.2)
+    assert before.decision == (GuardState.HOLD, "estop_released")
+    drive = GuardDrive()
+    drive.call(drive.guard.status_before_restart(replace(before.status, stamp=drive.now)))
+    drive.nav = (0.5, 0.0)
+    drive.run(1.0)
+    assert drive.decision == (GuardState.HOLD, "estop_released")
+    drive.nav = (0.0, 0.0)
+    drive.run(0.2)
+    drive.nav = (0.5, 0.0)
+    drive.run(1.0)
+    assert drive.velocity == pytest.approx((0.5, 0.0))
+
+
+def test_a_stick_whose_commands_come_late_for_a_while_is_no_new_source():
+    drive = driving()
+    drive.stop(True)
+    drive.run(0.5)
+    drive.stop(False)
+    drive.nav = None
+    for _ in range(50):
+        drive.run(0.02)
+        drive.command(0.5, age_ms=250)
+    drive.nav = (0.5, 0.0)
+    drive.run(0.5)
+    assert drive.velocity == (0, 0)
+    assert drive.decision == (GuardState.HOLD, "estop_released")
+
+
 def test_a_guard_that_was_not_stopped_begins_from_the_start():
     drive = GuardDrive()
     drive.call(drive.guard.status_before_restart(driving().status))
