@@ -48,6 +48,9 @@ START = (
 READ = read_command(DATA, DATA_LENGTH)
 
 
+MAX_IMPLAUSIBLE = 25  # readings in a row: half a second
+
+
 class Bno055:
     """A BNO055: the start sequence, then one reading at a time."""
 
@@ -58,7 +61,7 @@ class Bno055:
         self.start(0)
 
     def start(self, now: int) -> bytes:
-        self._step, self._tries = 0, 0
+        self._step = self._tries = self._n_implausible = 0
         self._buffer = b""
         return self._send(now)
 
@@ -123,6 +126,10 @@ class Bno055:
         reading = Reading(max(now - self._answer_time, 0), radians(rate / RATE_LSB), x, y, z)
         if not reading.is_plausible:
             self.counts.n_bad += 1
+            self._n_implausible += 1
+            if self._n_implausible >= MAX_IMPLAUSIBLE:  # it was reset, and its mode measures nothing
+                self._step = self._n_implausible = 0
             return []
         self.counts.n_good += 1
+        self._n_implausible = 0
         return [reading]

@@ -41,6 +41,14 @@ class PacketCounts:
     n_resyncs: int = 0  # times that bytes were skipped before a packet
 
 
+MAX_WAIT_NS = 3_000_000_000  # the longest time for which a device waits for an answer is 2 s
+
+
+def is_before(deadline: int, now: int) -> bool:
+    """Whether a device still waits at `now` (ns). A deadline that is too far ahead is of a clock that was set back."""
+    return 0 < deadline - now <= MAX_WAIT_NS
+
+
 class LaserDevice(Protocol):
     """A laser's protocol as a state machine: received bytes to beams, and to the bytes to send.
 

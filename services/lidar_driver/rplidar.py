@@ -12,7 +12,7 @@ import struct
 from functools import reduce
 from operator import xor
 
-from services.lidar_driver.device import PacketCounts, Returns
+from services.lidar_driver.device import PacketCounts, Returns, is_before
 from services.lidar_driver.request_answers import MAX_BUFFER, find_answer
 from services.lidar_driver.rplidar_capsules import FORMATS
 from services.lidar_driver.rplidar_streams import BeamStream, CapsuleStream, NodeStream
@@ -95,7 +95,7 @@ class Rplidar:
         return self.model >= FIRST_A2 if self.express_setting is None else self.express_setting
 
     def next_command(self, now: int) -> bytes:
-        if self.scanning or (now < self.deadline and not self.is_answered):
+        if self.scanning or (is_before(self.deadline, now) and not self.is_answered):
             return b""
         if not self.is_answered and self.last_request in (INFO, HEALTH):
             return self.start(now)

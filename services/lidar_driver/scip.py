@@ -12,7 +12,7 @@ from math import pi
 
 import numpy as np
 
-from services.lidar_driver.device import PacketCounts, Returns, unwrapped_ticks
+from services.lidar_driver.device import PacketCounts, Returns, is_before, unwrapped_ticks
 from shared.config import Laser
 from shared.types import Float32s, Int64s, UInt8s
 
@@ -94,7 +94,7 @@ class Scip:
         return b"QT\n"
 
     def next_command(self, now: int) -> bytes:
-        if self.scanning or now < self.deadline:
+        if self.scanning or is_before(self.deadline, now):
             return b""
         if not self.commands:
             return self.start(now)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.lidar_driver.device import PacketCounts, Returns
+from services.lidar_driver.device import PacketCounts, Returns, is_before
 from services.lidar_driver.request_answers import MAX_BUFFER, find_answer
 from services.lidar_driver.ydlidar_packets import (
     HEAD,
@@ -78,7 +78,7 @@ class Ydlidar:
         return STOP if self.model.answers else b""
 
     def next_command(self, now: int) -> bytes:
-        if self.scanning or (now < self.deadline and not self.is_answered):
+        if self.scanning or (is_before(self.deadline, now) and not self.is_answered):
             return b""
         if self.last_request == STOP:
             return self._ask(INFO, now, 500)

@@ -321,13 +321,14 @@ def _mark_echoes(
                     if marking:
                         if abs(away - measured) <= 0.5 * resolution:
                             echo_at[row, column] = stamp
-                    elif away < reach - resolution:
+                    elif away < reach - resolution and (echo or away > limits[i, 0] + NEAR_MARGIN_M):
                         echo_at[row, column] = 0
                     elif echo and occupied[row, column] and echo_at[row, column] == 0:
                         explained = explained or abs(away - measured) <= ECHO_MATCH_M
 
 
 ECHO_MATCH_M = 0.15  # from an echo within which a laser obstacle explains it
+NEAR_MARGIN_M = 0.08  # beyond a sensor's least range, within which no echo does not show that an obstacle has gone
 
 
 @njit(cache=True, nogil=True)

@@ -124,6 +124,14 @@ def test_a_bno055_that_lost_its_power_for_a_moment_is_started_again():
     assert bench.heard[-1].stamp > bench.now - 2 * TICK
 
 
+def test_a_bno055_that_was_reset_and_answers_zeros_is_started_again():
+    bench = Bench("bno055").run(1.0, 0.2)
+    bench.sensor = make_imu_emulator("bno055", MOUNTS[0])
+    bench.run(2.0, 0.2)
+    assert bench.heard[-1].yaw_rate == pytest.approx(0.2, abs=0.01)
+    assert bench.heard[-1].stamp > bench.now - 2 * TICK
+
+
 def test_a_port_that_is_plugged_out_and_in_starts_the_sensor_again():
     bench = Bench("bno055").run(1.0, 0.2)
     bench.take(bench.driver.plugged(PortState(bench.now, "imu", False, "unplugged")))

@@ -537,3 +537,15 @@ def test_a_hokuyos_next_sweep_is_found_after_half_a_one_and_noise(noise, seed, c
         line.hear(piece)
     assert len(line.scans) > before
     assert_allclose(line.scans[-1].ranges, sweeps[-1].ranges, atol=6e-4)
+
+
+@pytest.mark.parametrize("model", ["rplidar", "scip", "ydlidar_x4"])
+def test_a_clock_that_is_set_back_does_not_hold_the_requests_up(model):
+    """The laser is off, so that it is asked again and again."""
+    device, now = decoder(model), 10_000 * 10**9
+    device.start(now)
+    for _ in range(40):
+        now += 50 * 10**6
+        device.next_command(now)
+    now -= 3600 * 10**9
+    assert any(device.next_command(now + k * 10**9) for k in range(6))

@@ -253,6 +253,14 @@ def test_an_echo_vanishes_when_the_cone_is_clear_or_its_time_is_over() -> None:
         assert not made.occupied[at(made, 0.7, 0.0)]
 
 
+def test_what_comes_nearer_than_a_range_sensor_measures_stays() -> None:
+    made = costmap(echo_memory=2.0)
+    made.add_ranges(cone(0.14), Pose2(), WANTED, LIMITS)
+    made.add_ranges(cone(nan, NOW + NS_PER_S // 10), Pose2(), WANTED, LIMITS)
+    look(made, NOW + NS_PER_S // 10)
+    assert made.occupied[at(made, 0.34, 0.0)]
+
+
 def test_sensors_that_do_not_count_mark_nothing() -> None:
     made = costmap()
     made.add_ranges(cone(0.5), Pose2(), np.zeros(1, bool), LIMITS)
