@@ -3,37 +3,44 @@
 
 import time
 
-from shared import topics
+from shared import reasons, topics
 from shared.config import UserError
 from shared.messages import EmergencyStop, GuardState, GuardStatus
 from shared.reasons import reason_text
 from shared.runners.client import Client
 from shared.runners.transport import StackAddress
 
+PATIENCE_S = 3.0
+LATCHED = tuple(reason.code for reason in (reasons.WHEEL_STUCK, reasons.WHEEL_ASTRAY, reasons.ENCODERS_BROKEN))
+"""Faults that a release ends."""
+
 
 def confirm_stop(client: Client, press: bool, by: str) -> None:
     """Presses or releases STOP, again and again until the guard confirms. The client follows topics.GUARD.
 
+    Only a status that came after the first order confirms it. A release also ends latched faults.
     Raises UserError where the guard does not confirm within 3 s.
     """
+    began = time.monotonic()
 
-    def confirmed(status: GuardStatus) -> bool:
-        return (status.state is GuardState.STOPPED) == press
+    def confirms(status: GuardStatus) -> bool:
+        is_stopped = status.state is GuardState.STOPPED
+        holds = is_stopped if press else not is_stopped and status.reason not in LATCHED
+        return holds and client.age(topics.GUARD) < time.monotonic() - began
 
-    limit = time.monotonic() + 3.0
-    while time.monotonic() < limit:
+    while time.monotonic() < began + PATIENCE_S:
         client.publish(topics.ESTOP(EmergencyStop(client.now(), press, by)))
-        if client.wait(topics.GUARD, lambda s: client.age(topics.GUARD) < 1 and confirmed(s), 0.1) is not None:
+        if client.wait(topics.GUARD, confirms, 0.1) is not None:
             return
     status = client.latest(topics.GUARD)
     if status is None:
         raise UserError(
             "the guard does not answer: STOP is not confirmed", "is it running? switch the robot off by hand"
         )
-    raise UserError(
-        f"the guard does not confirm: it is {status.state} ({reason_text(status.reason)})",
-        "switch the robot off by hand",
+    hint = (
+        "switch the robot off by hand" if press else "see the reason, and guard/status: zenav topic echo guard/status"
     )
+    raise UserError(f"the guard does not confirm: it is {status.state} ({reason_text(status.reason)})", hint)
 
 
 def confirm_stop_of(robot: str, where: StackAddress, press: bool, by: str) -> None:

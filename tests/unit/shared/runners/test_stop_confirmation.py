@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""STOP and its release: only what the guard says after the order confirms it."""
+
+import pytest
+
+from shared.config import UserError
+from shared.messages import GuardState, GuardStatus
+from shared.runners import stop_confirmation
+from shared.runners.stop_confirmation import confirm_stop
+
+
+class FakeClient:
+    """A client that hears a status of the guard after each order; before the first there is an old one."""
+
+    def __init__(self, before, after):
+        self.heard, self.after, self.n_orders, self.arrived = before, list(after), 0, 0.0
+
+    def now(self):
+        return 0
+
+    def publish(self, publication):
+        self.n_orders += 1
+
+    def age(self, topic):
+        return 0.5 if not self.arrived else 0.0
+
+    def wait(self, topic, holds, timeout):
+        if holds(self.heard):
+            return self.heard
+        if self.after:
+            self.heard, self.arrived = self.after.pop(0), 1.0
+        return self.heard if holds(self.heard) else None
+
+    def latest(self, topic):
+        return self.heard
+
+
+def status(state, reason):
+    return GuardStatus(0, state, "", reason, "", 0.0)
+
+
+STUCK = status(GuardState.FAULT, "wheel_stuck")
+STOPPED = status(GuardState.STOPPED, "estop")
+IDLE = status(GuardState.IDLE, "no_command")
+HELD = status(GuardState.HOLD, "estop_released")
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch):
+    monkeypatch.setattr(stop_confirmation, "PATIENCE_S", 0.2)
+
+
+def test_the_release_of_a_fault_is_repeated_until_the_fault_has_ended():
+    client = FakeClient(STUCK, [STUCK, STUCK, HELD])
+    confirm_stop(client, False, "test")
+    assert client.n_orders == 3
+
+
+@pytest.mark.parametrize(("press", "before"), [(True, STOPPED), (False, IDLE)])
+def test_a_status_from_before_the_order_confirms_nothing(press, before):
+    client = FakeClient(before, [STOPPED if press else IDLE])
+    confirm_stop(client, press, "test")
+    assert not client.after
+
+
+def test_a_fault_that_stays_is_told_with_its_reason():
+    with pytest.raises(UserError, match="a wheel is commanded but does not turn"):
+        confirm_stop(FakeClient(STUCK, [STUCK]), False, "test")
