@@ -119,7 +119,7 @@ ROWS: tuple[FigureRow, ...] = (
     ),
     FigureRow(
         name="merge",
-        what="maps of two parts of a building joined, and maps of others refused",
+        what="",
         command="zenav bench merge --buildings 0-9 --overlaps 30,50 --strangers 2",
         cells=merge_cells,
         hidden="--maps {work}/parts",
@@ -201,7 +201,7 @@ ROWS: tuple[FigureRow, ...] = (
     FigureRow(
         name="faults",
         what="sensors, clocks and services that fail while the robot drives, in lockstep",
-        command="zenav bench faults",
+        command="zenav bench faults --trials 58",
         cells=faults_cells("faults"),
         jobs=True,
     ),
@@ -217,13 +217,13 @@ ROWS: tuple[FigureRow, ...] = (
     ),
     FigureRow(
         name="soak-hour",
-        what="an hour from goal to goal in the office, on the virtual clock",
+        what="",
         command="zenav bench soak --hours 1 --lockstep",
         cells=soak_cells("`--hours 1 --lockstep`"),
     ),
     FigureRow(
         name="soak",
-        what="half an hour live, over Zenoh",
+        what="half an hour from goal to goal in the office, live over Zenoh",
         command="zenav bench soak --minutes 30",
         cells=soak_cells("`--minutes 30`"),
     ),
