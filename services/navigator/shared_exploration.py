@@ -79,16 +79,25 @@ class SharedExploration:
         self._session: int | None = None
 
     def take(self, share: ExplorationShare, now: int) -> None:
-        """Takes the message of another robot, unless it is older than the last one, or of no robot that is known."""
+        """Takes the message of another robot, unless it is older than the last one, or of no robot that is known.
+
+        A robot that is started again may have a clock that was set back. So after its lease any other session is newer.
+        """
         before = self._teammates.get(share.robot)
-        order = (share.session, share.sequence)
-        if share.robot in self.others and (before is None or order > (before.share.session, before.share.sequence)):
+        if share.robot in self.others and (before is None or self._is_newer(share, before, now)):
             self._teammates[share.robot] = Teammate(share, now)
+
+    def _is_newer(self, share: ExplorationShare, before: Teammate, now: int) -> bool:
+        if share.session == before.share.session:
+            return share.sequence > before.share.sequence
+        return share.session > before.share.session or not self._is_leased(before, now)
+
+    def _is_leased(self, mate: Teammate, now: int) -> bool:
+        return now - mate.arrived <= round(self.config.lease * 1e9)
 
     def alive(self, now: int) -> list[Teammate]:
         """The robots that explore and were heard within the lease."""
-        lease = round(self.config.lease * 1e9)
-        return [mate for mate in self._teammates.values() if mate.share.active and now - mate.arrived <= lease]
+        return [mate for mate in self._teammates.values() if mate.share.active and self._is_leased(mate, now)]
 
     def areas(self, now: int) -> tuple[KnownArea, ...]:
         """What the others know: those that are alive, and those that have finished. Nothing counts while it helps."""

@@ -32,10 +32,12 @@ class Admission:
         self._topic = topic
         # events of several publishers, as STOP, whose clocks differ: each counts, and its stamp says for what
         self._is_of_several = topic.hz == 0 and topic.by != "*" and len(topic.publishers) > 1
-        self._session = ""
+        self.session = ""
+        """Of the last message that was taken; empty before the first."""
         self._sequence = -1
         self._sent = 0
-        self._heard = 0
+        self.heard = 0
+        """ns, the stack's clock, when the last message was taken."""
         self._arrived = -1  # the last sequence that came as a message, not as a kept value
         self.words = ""
         """Fault of the last message that was OLD; none where a kept value had brought it already."""
@@ -50,7 +52,7 @@ class Admission:
         """
         if envelope.publisher not in self._topic.publishers:
             return Verdict.INTRUDER
-        if envelope.session == self._session:
+        if envelope.session == self.session:
             heard = envelope.sequence == self._sequence and (self.complete or not kept)
             if envelope.sequence < self._sequence or heard:
                 self.words = "the sequence stands still" if heard else "the sequence goes back"
@@ -65,18 +67,18 @@ class Admission:
                 return Verdict.OLD
             gap = False
         else:
-            if self._session and 0 <= now - self._heard < SILENT_AFTER:
+            if self.session and 0 <= now - self.heard < SILENT_AFTER:
                 return Verdict.INTRUDER
             if precedes(envelope.sent, self._sent, now):
                 self.words = "sent before the last one"
                 return Verdict.OLD
             gap = False
-        if envelope.session != self._session:
+        if envelope.session != self.session:
             self.complete = kept or envelope.sequence == 0
             self._arrived = -1
         if not kept:
             self._arrived = envelope.sequence
-        self._session, self._sequence, self._heard = envelope.session, envelope.sequence, now
+        self.session, self._sequence, self.heard = envelope.session, envelope.sequence, now
         newest = self._sent if self._is_of_several and self._sent <= now + FUTURE else 0
         self._sent = max(min(envelope.sent, now), newest)  # a clock that is ahead must not make later messages old
         return Verdict.GAP if gap else Verdict.TAKE

@@ -6,8 +6,11 @@ from shared.codec import CodecError, decode
 from shared.messages import Message
 from shared.runners.admission import Admission, Verdict
 from shared.topics import Topic
+from shared.types import NS_PER_S
 
 MAX_ROBOTS = 256  # whose messages are kept apart; those of further ones are dropped
+GONE_NS = 2 * NS_PER_S
+"""ns without a message after which another process of a robot counts, also where its clock was set back."""
 
 
 def key_of_others(topic: Topic[Message]) -> str:
@@ -35,8 +38,11 @@ class OtherRobotsAdmission:
         if getattr(message, "robot", robot) != robot:
             raise CodecError(f"it names another robot than its key {full_key}")
         admission = self._admissions.get(robot)
-        if admission is None:
-            if len(self._admissions) >= MAX_ROBOTS:
-                raise CodecError(f"the messages of over {MAX_ROBOTS} robots")
-            admission = self._admissions[robot] = Admission(self._source)
-        return message if admission.judge(envelope, now) in (Verdict.TAKE, Verdict.GAP) else None
+        if admission is None and len(self._admissions) >= MAX_ROBOTS:
+            raise CodecError(f"the messages of over {MAX_ROBOTS} robots")
+        if admission is None or (envelope.session != admission.session and not 0 <= now - admission.heard < GONE_NS):
+            admission = Admission(self._source)
+        if admission.judge(envelope, now) not in (Verdict.TAKE, Verdict.GAP):
+            return None
+        self._admissions[robot] = admission
+        return message

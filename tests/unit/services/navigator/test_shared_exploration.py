@@ -116,6 +116,20 @@ def test_old_messages_and_those_of_other_robots_are_ignored():
     assert own(sharing, found) == [(1.0, 0.0), (9.0, 0.0)]
 
 
+def test_a_robot_that_was_silent_for_its_lease_is_heard_again_also_where_its_clock_was_set_back():
+    sharing = SharedExploration(CONFIG, "red", ("blue",), Pose2())
+    found = frontiers((1.0, 0.0, 1.0), (9.0, 0.0, 9.0))
+    before = share_of("blue", 10.0, 0.0, [(9.0, 0.0, 1.0)], sequence=5)
+    again = replace(before, session=before.session - 1, sequence=1)
+    sharing.take(before, S)
+    sharing.take(replace(again, active=False), S + LEASE)
+    assert own(sharing, found, now=S + LEASE) == [(1.0, 0.0)], "an old message, while it is heard"
+    sharing.take(again, S + LEASE + 1)
+    assert own(sharing, found, now=S + LEASE + 1) == [(1.0, 0.0)]
+    sharing.take(replace(again, sequence=2, active=False), S + LEASE + 2)
+    assert own(sharing, found, now=S + LEASE + 2) == [(1.0, 0.0), (9.0, 0.0)]
+
+
 def test_a_frontier_that_another_robot_may_not_know_is_left_to_it_only_while_there_are_others():
     """Blue stands beside it, but does not list it: then each robot would leave it to the other."""
     sharing = SharedExploration(CONFIG, "red", ("blue",), Pose2())
