@@ -146,7 +146,10 @@ class TrafficService(Service):
 
     @every(hz=5)
     def tick(self) -> Out:
-        """Publishes this robot's intent, and with other robots there its right of way and their places."""
+        """Publishes this robot's intent, and with other robots there its right of way and their places.
+
+        A lost robot publishes no intent: the others would plan around a place where it is not.
+        """
         self.n_ticks += 1
         self._update_frame()
         self.neighbours.forget(self.now)
@@ -166,7 +169,8 @@ class TrafficService(Service):
         if self.now - self.pose_stamp > MAX_POSE_AGE_NS:
             self.v = self.w = 0.0
         here = self.pose_tracker.map_from_base
-        if here is not None and (active or self.n_ticks % ALONE_EVERY == 0):
+        is_due = active or self.n_ticks % ALONE_EVERY == 0
+        if here is not None and is_due and not self.pose_tracker.is_lost:
             me = self.reservation.told(here.x, here.y, self._order())
             told = intent(
                 me=me,

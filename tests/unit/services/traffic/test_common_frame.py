@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The frame of robots that explore together: they hear each other although each one has a map of its own."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from shared import sample_messages as sample
 from shared import topics
 from shared.config import load_robot
 from shared.geometry import Pose2
+from shared.messages import Localization
 from tests.unit.services.traffic.intents import intent
 
 S = 1_000_000_000
@@ -31,8 +34,8 @@ class Robot:
             elif effect.topic is topics.OTHER_ROBOTS:
                 self.others = effect.message
 
-    def step(self, now):
-        self.call("pose", now, sample.pose_estimate(now, self.pose))
+    def step(self, now, state=Localization.GOOD):
+        self.call("pose", now, replace(sample.pose_estimate(now, self.pose), state=state))
         self.call("tick", now)
 
 
