@@ -5,6 +5,7 @@ Robots do not need it: what they drive they finish without it. Started again, it
 """
 
 from collections.abc import Callable, Iterable
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 
 from shared import requests, topics
@@ -62,6 +63,10 @@ class Dispatcher:
         self._say(f"task {task.id}, {task.text}: {robot.name} drives it")
         try:
             number = self._link.send(robot.name, robot.stack, navigate(list(task.targets), 0.0, 1))
+        except NoLinkError as error:
+            self._queue.unassign(task, error.what, now)
+            self._say(f"task {task.id}, {task.text}: it waits again: {error.what}")
+            return
         except UserError as error:
             self._give_up(task, error.what, now)
             return
@@ -113,12 +118,23 @@ class Dispatcher:
         self._say(f"task {task.id}, {task.text}: {task.robot} did not do it: {why}")
 
 
+class NoLinkError(UserError):
+    """The robot's stack cannot be reached, so it never got the request."""
+
+
 class RobotLink:
     """Requests to robots by name and stack."""
 
     def send(self, name: str, stack: str, request: Navigate) -> int | None:
-        """The navigator's number of the accepted task; None where no reply came. Raises UserError where it refuses."""
-        with Client(name, stack_address(stack)) as client:
+        """The navigator's number of the accepted task; None where no reply came.
+
+        Raises UserError where it refuses, and NoLinkError where it was not asked.
+        """
+        with ExitStack() as session:
+            try:
+                client = session.enter_context(Client(name, stack_address(stack)))
+            except UserError as error:
+                raise NoLinkError(error.what, error.hint) from None
             if not client.answers(requests.NAVIGATE, 1.0):
                 raise UserError("its navigator does not answer", "is it running? zenav fleet list shows its state")
             try:
@@ -128,12 +144,9 @@ class RobotLink:
             return accepted(reply).task_id
 
     def cancel(self, name: str, stack: str) -> None:
-        """Asks the robot to drop its task; without a reply nothing happens."""
-        with Client(name, stack_address(stack)) as client:
-            try:
-                client.ask(requests.CANCEL, Cancel(client.now()))
-            except UserError:
-                return
+        """Asks the robot to drop its task; without a link or a reply nothing happens."""
+        with suppress(UserError), Client(name, stack_address(stack)) as client:
+            client.ask(requests.CANCEL, Cancel(client.now()))
 
 
 def _free(view: RobotView) -> FreeRobot:

@@ -146,6 +146,11 @@ class TaskQueue:
         if not self._change(task.id, (TaskState.CANCELING,), TaskState.CANCELED, now):
             self._change(task.id, (TaskState.DRIVING,), state, now, **columns)
 
+    def unassign(self, task: FleetTask, detail: str, now: float) -> None:
+        """The robot never got it: it waits again, and no try is counted. A canceled task ends."""
+        if not self._change(task.id, (TaskState.CANCELING,), TaskState.CANCELED, now):
+            self._change(task.id, (TaskState.DRIVING,), TaskState.WAITING, now, detail=f"{task.robot}: {detail}")
+
     def cancel(self, number: int, now: float) -> TaskState:
         """The state after it: `canceling` where a robot drives the task. Raises UserError where it has ended."""
         task = self.task(number)

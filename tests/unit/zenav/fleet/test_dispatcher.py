@@ -12,8 +12,10 @@ from shared.config import UserError
 from shared.geometry import Pose2
 from shared.messages import BaseStatus, GuardState, GuardStatus, Localization, NavState, NavStatus
 from shared.robot_view import RobotView
+from shared.runners import transport
+from zenav.client.navigation_client import navigate
 from zenav.fleet.assignment import RETRY_S, straight
-from zenav.fleet.dispatcher import UNCLEAR_S, Dispatcher
+from zenav.fleet.dispatcher import UNCLEAR_S, Dispatcher, NoLinkError, RobotLink
 from zenav.fleet.task_queue import TaskQueue, TaskState
 
 LAB = (5.0, 0.0, None)
@@ -49,8 +51,8 @@ class Robots:
 
     def send(self, name, stack, request):
         self.sent.append((name, [pose.x for pose in request.poses]))
-        if isinstance(self.answer, str):
-            raise UserError(self.answer, "")
+        if isinstance(self.answer, UserError):
+            raise self.answer
         return self.answer
 
     def cancel(self, name, stack):
@@ -153,7 +155,7 @@ def test_a_robot_that_is_silent_or_stopped_for_long_loses_its_task(is_silent):
 
 def test_a_refusal_costs_a_try_and_is_not_repeated_at_once():
     fleet = Fleet(blue=4.0)
-    fleet.robots.answer = "the goal is in a wall"
+    fleet.robots.answer = UserError("the goal is in a wall", "")
     fleet.add()
     for _ in range(5):
         fleet.robots.speak("blue")
@@ -165,6 +167,41 @@ def test_a_refusal_costs_a_try_and_is_not_repeated_at_once():
         fleet.step(1.0)
     assert fleet.task.state is TaskState.FAILED
     assert len(fleet.robots.sent) == 3
+
+
+def test_a_robot_that_cannot_be_reached_has_failed_nothing():
+    fleet = Fleet(blue=4.0)
+    fleet.robots.answer = NoLinkError("no router answers", "")
+    fleet.add()
+    for _ in range(5):
+        fleet.robots.speak("blue")
+        fleet.step(1.0)
+    assert (fleet.task.state, fleet.task.failed) == (TaskState.WAITING, ())
+    assert fleet.task.detail == "blue: no router answers"
+    fleet.robots.answer = 7
+    fleet.robots.speak("blue")
+    fleet.step(1.0)
+    assert (fleet.task.state, fleet.task.navigator_id) == (TaskState.DRIVING, 7)
+
+
+def test_a_task_that_is_canceled_while_its_robot_cannot_be_reached_has_ended():
+    fleet = Fleet(blue=4.0)
+    number = fleet.add()
+    task = fleet.task
+    fleet.queue.assign(task, "blue", "0", 3, 0.0)
+    fleet.queue.cancel(number, 0.0)
+    fleet.queue.unassign(task, "no router answers", 1.0)
+    assert fleet.task.state is TaskState.CANCELED
+
+
+def test_a_stack_that_cannot_be_reached_ends_no_dispatcher(monkeypatch):
+    def away(*_):
+        raise UserError("no router answers", "start it")
+
+    monkeypatch.setattr(transport, "opened", away)
+    with pytest.raises(NoLinkError, match="no router answers"):
+        RobotLink().send("blue", "0", navigate([LAB], 0.0, 1))
+    RobotLink().cancel("blue", "0")
 
 
 def test_a_dispatcher_that_was_started_again_goes_on_with_the_task_that_the_robot_drives():
