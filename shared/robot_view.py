@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 from shared import topics
 from shared.codec import Envelope
 from shared.messages import GuardState, Message, NavState
+from shared.stamps import is_older
 from shared.task_state import FINAL_STATES, stop_reason
 from shared.topics import Topic
 
@@ -59,7 +60,7 @@ class RobotView:
     stack: str
     addresses: list[tuple[str, str]] = field(default_factory=list)
     heard: float = 0.0  # s, monotonic, of LINK_TOPIC's newest
-    _newest: dict[str, tuple[Message, Envelope]] = field(default_factory=dict)
+    _newest: dict[str, tuple[Message, Envelope, float]] = field(default_factory=dict)
     _session: str = ""
     _sequences: set[int] = field(default_factory=set)
     _delays: list[float] = field(default_factory=list)
@@ -67,8 +68,8 @@ class RobotView:
     def add(self, topic: Topic[Any], message: Message, envelope: Envelope, at: float, now: int) -> None:
         """A message that came at `at` (s, monotonic) and `now` (ns, the wall clock). Older ones change nothing."""
         before = self._newest.get(topic.key)
-        if before is None or envelope.sent >= before[1].sent:
-            self._newest[topic.key] = message, envelope
+        if before is None or not self._is_older(envelope, before, at, now):
+            self._newest[topic.key] = message, envelope, at
         if topic is LINK_TOPIC:
             self._count(envelope, at, now)
 
@@ -103,6 +104,12 @@ class RobotView:
             address=", ".join(address for address, _ in self.addresses),
             version=", ".join(dict.fromkeys(version for _, version in self.addresses)),
         )
+
+    def _is_older(self, envelope: Envelope, newest: tuple[Message, Envelope, float], at: float, now: int) -> bool:
+        """A robot that was silent may have started again, with a clock that was set back."""
+        _, last, came = newest
+        has_started_again = envelope.session != last.session and at - came > SILENT_S
+        return not has_started_again and is_older(envelope, last, now)
 
     def _count(self, envelope: Envelope, at: float, now: int) -> None:
         if envelope.session != self._session:  # the navigator was started again

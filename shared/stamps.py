@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Age and order of stamps, also after a clock was set back."""
+"""Age and order of stamps and messages, also after a clock was set back."""
+
+from shared.codec import Envelope
 
 FUTURE = 100_000_000
 """ns that a stamp may lie ahead of our clock: the offset of two machines' clocks."""
@@ -18,3 +20,13 @@ def precedes(stamp: int, other: int, now: int) -> bool:
 def supersedes(stamp: int, last: int | None, now: int) -> bool:
     """Whether a message is newer than the last one; after the clock was set back any message is. Stamps and now: ns."""
     return last is None or stamp > last or last > now + FUTURE
+
+
+def is_older(envelope: Envelope, last: Envelope, now: int) -> bool:
+    """Whether a message on a key was sent before the last one. now: ns, the stack's clock.
+
+    Within a session the sequence decides. It goes on where the clock is set back.
+    """
+    if envelope.session == last.session:
+        return envelope.sequence < last.sequence
+    return precedes(envelope.sent, last.sent, now)

@@ -25,6 +25,7 @@ from shared.requests import Request
 from shared.runners import transport
 from shared.runners.host import merged
 from shared.runners.transport import StackAddress
+from shared.stamps import is_older
 from shared.topics import SERVICES, Publication, Topic, key_of
 
 M = TypeVar("M", bound=Message)
@@ -245,7 +246,7 @@ class Client:
         with self.changed:
             before = self._latest.get(key)
             if before is not None and topic.latched:
-                late = envelope.sent < before[1].sent  # the kept whole, overtaken by an update
+                late = is_older(envelope, before[1], self.now())  # the kept whole, overtaken by an update
                 message = merged(message, before[0]) if late else merged(before[0], message)
                 envelope = before[1] if late else envelope
             self._latest[key] = (message, envelope, time.monotonic())

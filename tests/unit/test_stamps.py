@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shared.stamps import FUTURE, fresh, precedes, supersedes
+from shared.codec import Envelope
+from shared.stamps import FUTURE, fresh, is_older, precedes, supersedes
 
 MS = 1_000_000
 NOW = 10_000 * MS
@@ -30,3 +31,10 @@ def test_newer_supersedes_unless_the_clock_was_set_back(stamp, last):
 @given(STAMPS, STAMPS, STAMPS)
 def test_one_precedes_another_or_is_it_or_supersedes_it(stamp, other, now):
     assert precedes(stamp, other, now) + (stamp == other <= now + FUTURE) + supersedes(stamp, other, now) == 1
+
+
+@given(STAMPS, STAMPS, STAMPS, st.integers(0, 9), st.integers(0, 9))
+def test_in_a_session_the_sequence_decides_which_message_is_older_and_between_two_the_stamp(sent, last, now, k, n):
+    before = Envelope("mapper", "a", n, last)
+    assert is_older(Envelope("mapper", "a", k, sent), before, now) is (k < n)
+    assert is_older(Envelope("mapper", "b", k, sent), before, now) is precedes(sent, last, now)

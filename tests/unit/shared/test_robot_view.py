@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot's row in the fleet from the messages that came: lost, late, doubled, of an earlier life."""
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -69,6 +70,22 @@ def test_an_older_message_that_comes_later_is_not_shown():
         message = BaseStatus(sent, 20.0 + sent, 0.0, 0.0, True, "", "")
         view.add(topics.BASE_STATUS, message, Envelope("base_driver", "b", sent, sent), 0.0, 0)
     assert view.row(0.0).battery == 24.0
+
+
+@pytest.mark.parametrize(("session", "sequence", "pause"), [("a", 2, 0.2), ("b", 0, SILENT_S + 0.1)])
+def test_a_robot_whose_clock_is_set_back_is_shown_as_it_is(session, sequence, pause):
+    """By itself, or with a restart."""
+    view, now = heard([0, 1]), 3600 * 1000 * MS
+    view.add(topics.NAV_STATUS, status(), envelope(2 if session == "b" else 1, sent=now), 10.0, now)
+    view.add(topics.NAV_STATUS, status(NavState.REACHED), envelope(sequence, session, 0), 10.0 + pause, now)
+    assert view.row(10.0 + pause).state == "reached"
+
+
+def test_a_late_message_of_an_earlier_life_is_not_shown():
+    view = heard([100], "b")
+    now = 100 * 200 * MS
+    view.add(topics.NAV_STATUS, status(NavState.REACHED), envelope(7, "a", now - 1), 10.1, now)
+    assert view.row(10.1).state == "navigating"
 
 
 def test_a_battery_that_was_not_measured_is_unknown():

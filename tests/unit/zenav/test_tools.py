@@ -14,9 +14,10 @@ from shared.config import UserError
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
 from shared.messages import GuardState, GuardStatus, Health, LaserScan, NavState, NavStatus
-from shared.runners.client import CLOCK_AGE, Timekeeper, request_error
+from shared.runners.client import CLOCK_AGE, Client, Timekeeper, request_error
+from shared.runners.transport import StackAddress
 from shared.task_state import stop_reason
-from shared.topics import TOPICS
+from shared.topics import NAV_STATUS, TOPICS
 from tests.strategies import messages
 from zenav.bench.seeds import seeds_from
 from zenav.client.navigation_client import ArrivalTolerance, navigate, poses_from, target_text, task_result
@@ -53,6 +54,17 @@ def test_a_clock_that_was_set_back_is_followed():
     keeper.add_clock(10**18, 0.0)
     keeper.add_clock(5 * 10**17, 1.0)
     assert keeper.now(0, 1.0) == 5 * 10**17
+
+
+def test_a_tool_follows_a_publisher_whose_clock_is_set_back(monkeypatch):
+    client, heard = Client("red", StackAddress(0)), []
+    monkeypatch.setattr(client, "listen", lambda _, callback: heard.append(callback))
+    client.follow(NAV_STATUS)
+    (hear,) = heard
+    for sequence, (sent, state) in enumerate([(5000, NavState.NAVIGATING), (1400, NavState.REACHED)]):
+        hear(replace(NAV, state=state), Envelope("navigator", "n", sequence, sent))
+    hear(NAV, Envelope("navigator", "n", 0, 5000))  # the kept value, late
+    assert client.latest(NAV_STATUS).state is NavState.REACHED
 
 
 @pytest.mark.parametrize(
