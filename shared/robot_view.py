@@ -22,6 +22,7 @@ FLEET_TOPICS: tuple[Topic[Any], ...] = (
 """What a fleet listens to: one key each, of every robot."""
 LINK_TOPIC = topics.NAV_STATUS  # it comes always, at a fixed rate: its sequence shows what was lost
 SILENT_S = 3.0  # without a message of LINK_TOPIC a robot counts as silent
+MAX_BEHIND = 1000  # messages of LINK_TOPIC by which one may come after a later one, and still count
 NO_TASK = (NavState.IDLE, *FINAL_STATES)
 
 M = TypeVar("M", bound=Message)
@@ -61,8 +62,7 @@ class RobotView:
     addresses: list[tuple[str, str]] = field(default_factory=list)
     heard: float = 0.0  # s, monotonic, of LINK_TOPIC's newest
     _newest: dict[str, tuple[Message, Envelope, float]] = field(default_factory=dict)
-    _session: str = ""
-    _sequences: set[int] = field(default_factory=set)
+    _arrivals: "_Arrivals" = field(default_factory=lambda: _Arrivals(""))
     _delays: list[float] = field(default_factory=list)
 
     def add(self, topic: Topic[Any], message: Message, envelope: Envelope, at: float, now: int) -> None:
@@ -99,7 +99,7 @@ class RobotView:
             y=None if where is None else where.y,
             yaw=None if where is None else degrees(where.yaw),
             pose_state="" if pose is None else str(pose.state),
-            received=self._received(),
+            received=self._arrivals.share,
             delay=sorted(self._delays)[len(self._delays) // 2] if self._delays else None,
             address=", ".join(address for address, _ in self.addresses),
             version=", ".join(dict.fromkeys(version for _, version in self.addresses)),
@@ -112,16 +112,37 @@ class RobotView:
         return not has_started_again and is_older(envelope, last, now)
 
     def _count(self, envelope: Envelope, at: float, now: int) -> None:
-        if envelope.session != self._session:  # the navigator was started again
-            self._session = envelope.session
-            self._sequences.clear()
-        if envelope.sequence in self._sequences:  # a latched value, which was there before
+        if envelope.session != self._arrivals.session:  # the navigator was started again
+            self._arrivals = _Arrivals(envelope.session)
+        if not self._arrivals.add(envelope.sequence):  # a latched value, which was there before
             return
         self.heard = at
-        self._sequences.add(envelope.sequence)
         self._delays = [*self._delays[-99:], (now - envelope.sent) / 1e9]
 
-    def _received(self) -> float | None:
-        if len(self._sequences) < 2:
-            return None
-        return (len(self._sequences) - 1) / (max(self._sequences) - min(self._sequences))
+
+@dataclass(slots=True)
+class _Arrivals:
+    """Counts the messages of a session, in any order and each of them once. Those that are far behind do not count."""
+
+    session: str
+    _n: int = 0
+    _first: int = 0
+    _last: int = 0
+    _recent: set[int] = field(default_factory=set)  # all after `_last` - MAX_BEHIND, and perhaps a few before
+
+    def add(self, sequence: int) -> bool:
+        """Whether it is another message than those before."""
+        if sequence in self._recent or (self._n and sequence <= self._last - MAX_BEHIND):
+            return False
+        self._first = min(self._first, sequence) if self._n else sequence
+        self._last = max(self._last, sequence) if self._n else sequence
+        self._n += 1
+        self._recent.add(sequence)
+        if len(self._recent) > 2 * MAX_BEHIND:
+            self._recent = {kept for kept in self._recent if kept > self._last - MAX_BEHIND}
+        return True
+
+    @property
+    def share(self) -> float | None:
+        """That of the messages between the first and the last one which came; None before the second one."""
+        return (self._n - 1) / (self._last - self._first) if self._n > 1 else None

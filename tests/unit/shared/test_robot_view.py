@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot's row in the fleet from the messages that came: lost, late, doubled, of an earlier life."""
 
+import pickle
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -9,7 +11,7 @@ from shared import topics
 from shared.codec import Envelope
 from shared.geometry import Pose2
 from shared.messages import BaseStatus, GuardState, GuardStatus, NavState, NavStatus
-from shared.robot_view import SILENT_S, RobotView
+from shared.robot_view import MAX_BEHIND, SILENT_S, RobotView
 
 MS = 1_000_000
 
@@ -46,6 +48,16 @@ def test_the_share_that_arrived_is_that_of_the_messages_between_first_and_last(d
 @given(st.permutations(range(12)))
 def test_order_and_doubles_change_nothing(order):
     assert heard([*order, *order]).row(10.0) == heard(list(range(12))).row(10.0)
+
+
+def test_of_a_robot_that_runs_for_long_as_much_is_kept_as_of_another():
+    view = RobotView("red", "0")
+    for begin in range(0, 20 * MAX_BEHIND, 4):
+        heard([begin, begin + 2, begin + 1], view=view)  # every fourth is lost
+    heard([0, 20 * MAX_BEHIND - 4], view=view)  # doubles
+    n, last = 15 * MAX_BEHIND, 20 * MAX_BEHIND - 2
+    assert view.row(10.0).received == (n - 1) / last
+    assert len(pickle.dumps(view)) < 20 * MAX_BEHIND
 
 
 def test_a_navigator_that_was_started_again_counts_from_there_on():
