@@ -3,7 +3,7 @@
 
 from shared.types import NS_PER_S
 
-MAX_AHEAD_S = 1.0  # by which the sender's clock may be ahead of the robot's
+MAX_AHEAD_NS = NS_PER_S  # by which the sender's clock may be ahead of the robot's
 
 
 def age_fault(sent: int, now: int, max_age: float) -> str:
@@ -11,4 +11,4 @@ def age_fault(sent: int, now: int, max_age: float) -> str:
     age = (now - sent) / NS_PER_S
     if age > max_age:
         return f"sent {age:.1f} s ago, where {max_age:g} s are the limit"
-    return f"dated {-age:.1f} s ahead of this robot's clock" if age < -MAX_AHEAD_S else ""
+    return f"dated {-age:.1f} s ahead of this robot's clock" if sent - now > MAX_AHEAD_NS else ""

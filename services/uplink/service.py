@@ -16,7 +16,7 @@ from typing import Any
 import msgpack
 
 from services.uplink.config import UplinkConfig
-from services.uplink.order_age import age_fault
+from services.uplink.order_age import MAX_AHEAD_NS, age_fault
 from services.uplink.outgoing import Level
 from shared import reasons, requests, topics
 from shared.codec import CodecError, Envelope, decode, encode
@@ -62,7 +62,7 @@ class UplinkService(Service):
         self.rate = 0.0  # bytes/s to the site
         self.watched_until = 0  # ns
         self.drives_until = 0  # ns
-        self.stopped_at = 0  # ns, when the newest STOP of the site was sent
+        self.stopped_at = 0  # ns, when the newest STOP of the site was sent; at most MAX_AHEAD_NS ahead
         self.is_stopped = False
 
     @property
@@ -162,7 +162,10 @@ class UplinkService(Service):
             yield _order(self.now, {"ask": id_, "key": key})
 
     def _estop(self, payload: bytes) -> Out:
-        """Takes STOP always. Its release only if it is recent, and was sent after the newest STOP."""
+        """Takes STOP always. Its release only if it is recent, and was sent after the newest STOP.
+
+        A STOP from far ahead counts as sent now: else no tool with a right clock could release it.
+        """
         try:
             order, envelope = decode(EmergencyStop, payload)
         except CodecError as error:
@@ -170,7 +173,7 @@ class UplinkService(Service):
             return
         by = f"site: {order.by}"
         if order.pressed:
-            self.stopped_at = max(self.stopped_at, envelope.sent)
+            self.stopped_at = max(self.stopped_at, min(envelope.sent, self.now + MAX_AHEAD_NS))
             if not self.stop_button.is_pressing:
                 if not self.is_stopped:
                     yield Log("INFO", f"audit: {by}: STOP")

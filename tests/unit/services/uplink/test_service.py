@@ -118,6 +118,21 @@ def test_in_any_order_of_arrival_a_release_before_the_newest_stop_releases_nothi
             assert pressed is True
 
 
+def test_a_stop_from_a_computer_whose_clock_is_ahead_is_released_by_another_one():
+    link = Link().estop(True, NOW + 3600 * NS_PER_S)
+    link.guard(GuardState.STOPPED)
+    assert link.estop(False).stops == [], "sent before it, perhaps"
+    link.service.now += 2 * NS_PER_S
+    assert [stop.pressed for stop in link.estop(False, link.service.now).stops] == [False]
+
+
+def test_a_late_release_of_a_computer_whose_clock_is_a_little_ahead_releases_nothing():
+    link = Link().estop(True, NOW + NS_PER_S // 2)
+    link.guard(GuardState.STOPPED)
+    assert link.estop(False, NOW + NS_PER_S // 2 - 1).stops == []
+    assert [stop.pressed for stop in link.estop(False, NOW + NS_PER_S // 2 + 1).stops] == [False]
+
+
 def test_an_old_release_releases_nothing():
     link = Link()
     link.guard(GuardState.STOPPED)
