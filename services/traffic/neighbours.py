@@ -2,7 +2,7 @@
 """The other robots that are heard, by name: on a lease that each of their messages renews (Gray, Cheriton 1989).
 
 The clocks of two computers differ, so the arrival by the own clock decides. A message that took much longer than the
-fastest one before is old, as in the burst after a cut of the network. It renews nothing.
+fastest one lately is old, as in the burst after a cut of the network. It renews nothing.
 """
 
 from collections.abc import Iterator
@@ -12,6 +12,7 @@ import numpy as np
 
 from services.traffic.conflicts import TrafficRobot, order_of
 from shared.messages import RobotIntent
+from shared.minimum_delay import MinimumDelay
 from shared.types import NS_PER_S, Float64s
 
 LEASE_NS = 2 * NS_PER_S
@@ -34,9 +35,14 @@ class Neighbour:
     intent: RobotIntent
     robot: TrafficRobot
     heard: int
-    delay: int  # ns, the shortest way of a message and the difference of the clocks
+    least: MinimumDelay
     late_since: int | None = None
     idle_since: int | None = None
+
+    @property
+    def delay(self) -> int:
+        """ns, the shortest way of a message lately and the difference of the clocks."""
+        return self.least.value
 
 
 class Neighbours:
@@ -49,14 +55,14 @@ class Neighbours:
         """Takes a message that arrived at `now`, ns."""
         known, delay = self._by_name.get(intent.robot), now - intent.stamp
         if known is None:
-            known = self._by_name[intent.robot] = Neighbour(intent, told_by(intent), now, delay)
+            known = self._by_name[intent.robot] = Neighbour(intent, told_by(intent), now, MinimumDelay(delay, now))
         elif delay > known.delay + MAX_LATE_NS:
             known.late_since = now if known.late_since is None else known.late_since
             if now - known.late_since < CLOCK_STEP_NS:
                 return
-            known.delay = delay
+            known.least = MinimumDelay(delay, now)
         known.intent, known.robot, known.heard, known.late_since = intent, told_by(intent), now, None
-        known.delay = min(known.delay, delay)
+        known.least.add(delay, now)
         is_idle = not len(intent.xs) and abs(intent.v) < STANDING_MPS
         known.idle_since = (known.idle_since or now) if is_idle else None
 

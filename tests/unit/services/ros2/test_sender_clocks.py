@@ -4,7 +4,8 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.ros2.sender_clocks import MAX_PUBLISHERS, WINDOW_NS, SenderClocks
+from services.ros2.sender_clocks import MAX_PUBLISHERS, SenderClocks
+from shared.minimum_delay import WINDOW_NS
 
 MS = 1_000_000
 START = 1_000_000_000_000

@@ -65,6 +65,25 @@ def test_a_sender_whose_clock_is_set_back_counts_again_after_a_while():
     assert names(neighbours.alive("office", at)) == ["blue"]
 
 
+@pytest.mark.parametrize("pace", [0.998, 1.002])
+def test_a_robot_whose_clock_drifts_is_there_all_the_time(pace):
+    """By 2 ms a second, which is 40 times as fast as a bad clock."""
+    neighbours, start = Neighbours(), 10**13
+    for k in range(5 * 1800):
+        now = start + k * NS_PER_S // 5
+        neighbours.hear(intent(start + round((now - start) * pace)), now)
+        assert names(neighbours.alive("office", now)) == ["blue"]
+
+
+@pytest.mark.parametrize("cut_s", [10, 50])
+def test_after_a_cut_of_any_length_a_burst_of_old_messages_renews_nothing(cut_s):
+    now = 10**13
+    neighbours, late = heard(5, now), now + cut_s * NS_PER_S
+    for i in range(1, 5 * cut_s - 10):
+        neighbours.hear(intent(now + i * NS_PER_S // 5), late)
+    assert names(neighbours.alive("office", late)) == []
+
+
 def test_a_robot_without_a_path_is_planned_around_once_it_stands_for_a_while():
     now = 10**13
     assert names(heard(3, now).standing("office", now)) == []
