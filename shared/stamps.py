@@ -30,3 +30,9 @@ def is_older(envelope: Envelope, last: Envelope, now: int) -> bool:
     if envelope.session == last.session:
         return envelope.sequence < last.sequence
     return precedes(envelope.sent, last.sent, now)
+
+
+def is_known(envelope: Envelope, last: Envelope, now: int) -> bool:
+    """Whether a kept value is the last message on its key, or an older one. now: ns, the stack's clock."""
+    is_last = (envelope.session, envelope.sequence) == (last.session, last.sequence)
+    return is_last or is_older(envelope, last, now)

@@ -22,13 +22,14 @@ from services.ros2.outgoing_topics import (
 from services.ros2.ros_types import ros_types
 from services.ros2.zenav_command import saved_places
 from shared import requests, topics
-from shared.codec import CodecError, decode, envelope_of
+from shared.codec import CodecError, Envelope, decode, envelope_of
 from shared.config import UserError
 from shared.reasons import NOT_RUNNING
 from shared.requests import REQUESTS, Watch
 from shared.ros_messages import RosMessages
 from shared.runners.client import Client, refusal, request_outcome
 from shared.runners.transport import LatchedReader, StackAddress, oversize
+from shared.stamps import is_known
 from shared.topics import topic_of
 from shared.types import NS_PER_S
 
@@ -60,7 +61,7 @@ class StackFeed:
         self._served: frozenset[str] = frozenset()
         self._client: Client | None = None
         self._endings: dict[str, list[Callable[[], None]]] = {}  # by key
-        self._latched: dict[str, tuple[Any, str]] = {}  # newest message and its publisher, by key
+        self._latched: dict[str, tuple[Any, Envelope]] = {}  # newest message by key
         self._incoming: list[Payload] = []
         self._changed = threading.Condition()
         self._is_closing = self._is_needed = False
@@ -113,7 +114,8 @@ class StackFeed:
                 continue
             if wanted != self._served:
                 self._serve(wanted)
-            self._take(incoming)
+            if self._client is not None:
+                self._take(self._client, incoming)
             self._tick()
         if self._client is not None:
             self._client.__exit__(None, None, None)
@@ -145,8 +147,8 @@ class StackFeed:
             self._latched.pop(key, None)
         for key in keys - self._endings.keys():
             self._endings[key] = self._listen(self._client, key)
-        for key, (message, publisher) in list(self._latched.items()):
-            self._convert(added, key, message, publisher)
+        for key, (message, envelope) in list(self._latched.items()):
+            self._convert(added, key, message, envelope.publisher)
         if MAP_NAME in added:
             self._state.map.send_now()
         if PLACES_NAME in added:
@@ -171,17 +173,19 @@ class StackFeed:
             self._incoming.append((key, payload, is_latched))
             self._changed.notify_all()
 
-    def _take(self, incoming: list[Payload]) -> None:
+    def _take(self, client: Client, incoming: list[Payload]) -> None:
         for key, payload, is_latched in incoming:
             topic = topic_of(key)
-            if topic is None or (is_latched and key in self._latched and topic is not topics.MAP):
-                continue  # a newer message came before the value for late subscribers
+            if topic is None:
+                continue
             try:
                 message, envelope = decode(topic.type, payload)
             except CodecError:
                 continue  # its readers among the services count and report it
+            if is_latched and key in self._latched and is_known(envelope, self._latched[key][1], client.now()):
+                continue  # a newer message came before the value for late subscribers
             if topic.latched and topic is not topics.MAP:
-                self._latched[key] = message, envelope.publisher
+                self._latched[key] = message, envelope
             self._convert(self._served, key, message, envelope.publisher)
 
     def _convert(self, names: frozenset[str], key: str, message: Any, publisher: str) -> None:

@@ -15,8 +15,9 @@ from services.uplink.coarse_map import CoarseMap
 from services.uplink.crossing_forms import crossing_payload
 from services.uplink.token_bucket import TokenBucket
 from shared import topics
-from shared.codec import CodecError, Envelope, decode, encode
+from shared.codec import CodecError, Envelope, decode, encode, envelope_of
 from shared.crossing import OUTWARD_KEYS
+from shared.stamps import is_known
 from shared.topics import Topic, topic_of
 
 OVERHEAD_BYTES = 110  # of a message: Zenoh's head, TLS, TCP and IP, and the acknowledgement of the other side
@@ -84,8 +85,8 @@ class Outgoing:
             if not self._hz(lane.topic) and not lane.topic.latched:
                 lane.waiting.clear()
 
-    def take(self, key: str, payload: bytes, is_latched: bool = False) -> None:
-        """A message of the stack. is_latched: a last value, of before the subscription; a newer message stays."""
+    def take(self, key: str, payload: bytes, kept_at: int | None = None) -> None:
+        """A message of the stack. kept_at: of a last value when it came, ns on the stack's clock; a newer one stays."""
         lane = self._lanes.get(key)
         if lane is None or not self._hz(lane.topic):
             return
@@ -94,7 +95,8 @@ class Outgoing:
                 update, envelope = decode(topics.MAP.type, payload)
                 self._map.take(update, envelope.sent)
                 return
-            if is_latched and lane.latched:
+            last = envelope_of(lane.latched) if lane.latched else None
+            if kept_at is not None and last is not None and is_known(envelope_of(payload), last, kept_at):
                 return
             self._file(lane, payload)
         except CodecError:

@@ -60,7 +60,7 @@ class SiteDevice:
         self._closing = threading.Event()
         self._lock = threading.Lock()  # of `_outgoing`
         self._outgoing = Outgoing(f"{time.time_ns():x}")
-        self._incoming: deque[tuple[str, bytes, bool]] = deque(maxlen=MAX_INCOMING)
+        self._incoming: deque[tuple[str, bytes, int | None]] = deque(maxlen=MAX_INCOMING)
         self._heard: deque[tuple[str, bytes]] = deque(maxlen=MAX_HEARD)  # key with the robot's name
         self._level = Level.REST
         self._replies: dict[int, tuple[Request[Any, Any], bytes, Reply]] = {}  # by id
@@ -155,7 +155,7 @@ class SiteDevice:
     # --- from the stack and the site, on threads of Zenoh's -----------------------------------------------------------
 
     def _hear(self, key: str, payload: bytes, is_latched: bool) -> None:
-        self._incoming.append((key, payload, is_latched))
+        self._incoming.append((key, payload, self._context.clock.now() if is_latched else None))
 
     def _last_value(self, key: str) -> bytes:
         with self._lock:

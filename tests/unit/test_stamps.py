@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shared.codec import Envelope
-from shared.stamps import FUTURE, fresh, is_older, precedes, supersedes
+from shared.stamps import FUTURE, fresh, is_known, is_older, precedes, supersedes
 
 MS = 1_000_000
 NOW = 10_000 * MS
@@ -38,3 +38,5 @@ def test_in_a_session_the_sequence_decides_which_message_is_older_and_between_tw
     before = Envelope("mapper", "a", n, last)
     assert is_older(Envelope("mapper", "a", k, sent), before, now) is (k < n)
     assert is_older(Envelope("mapper", "b", k, sent), before, now) is precedes(sent, last, now)
+    assert is_known(Envelope("mapper", "a", k, sent), before, now) is (k <= n)
+    assert is_known(Envelope("mapper", "b", k, sent), before, now) is precedes(sent, last, now)

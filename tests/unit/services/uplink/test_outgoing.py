@@ -18,6 +18,7 @@ from shared.messages import (
     GuardState,
     GuardStatus,
     Localization,
+    MapState,
     MapUpdate,
     NavState,
     NavStatus,
@@ -49,6 +50,27 @@ def map_update(rng: np.random.Generator, places: list[tuple[int, int]], map_id: 
     cells = rng.choice(np.array([-1, 0, 30, 100], np.int8), (len(places), TILE_CELLS**2))
     rows, columns = np.array(places, np.int32).reshape(-1, 2).T
     return MapUpdate(0, map_id, 1, 0.05, rows.copy(), columns.copy(), cells)
+
+
+def test_a_last_value_that_is_newer_than_what_is_known_goes_to_the_site():
+    """The stack is started again, with a clock that was set back, and its first message came by no subscription."""
+    outgoing, key = Outgoing("s"), topics.MAP_STATE.key
+
+    def state(name, session, sequence, sent):
+        return encode(MapState(sent, 1, name, ()), Envelope("mapper", session, sequence, sent))
+
+    def sent(at):
+        return [decode(MapState, payload)[0].name for sent_key, payload in outgoing.due(at) if sent_key == key]
+
+    outgoing.take(key, state("office", "a", 3, 1000))
+    assert sent(0.0) == ["office"]
+    outgoing.take(key, state("office", "a", 3, 1000), kept_at=1001)
+    outgoing.take(key, state("hall", "a", 2, 999), kept_at=1001)
+    outgoing.take(key, state("hall", "z", 9, 999), kept_at=1001)
+    assert sent(100.0) == []
+    outgoing.take(key, state("plant", "b", 0, 2000), kept_at=2001)
+    assert sent(200.0) == ["plant"]
+    assert decode(MapState, outgoing.last_value(key, 201.0))[0].name == "plant"
 
 
 @pytest.mark.parametrize("level", Level)
@@ -106,7 +128,7 @@ def test_a_level_without_a_topic_sends_none_of_it_and_a_late_reader_gets_the_las
     outgoing.take(topics.LOG.key + "/guard", b"not a message")
     outgoing.take(topics.POSE.key, pose(1))
     outgoing.take(topics.POSE.key, pose(2))
-    outgoing.take(topics.POSE.key, pose(0), is_latched=True)
+    outgoing.take(topics.POSE.key, pose(0), kept_at=2)
     assert decode(PoseEstimate, outgoing.last_value(topics.POSE.key, 0.0))[0].stamp == 2
     assert outgoing.last_value(topics.MAP_STATE.key, 0.0) == b""
     assert topics.SCAN.key not in outgoing.keys

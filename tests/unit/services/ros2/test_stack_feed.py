@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Values for late subscribers on their way to ROS: what is known is not sent again, and what is newer is."""
+
+import threading
+from dataclasses import replace
+
+from services.ros2 import stack_feed
+from services.ros2.config import Ros2Config
+from services.ros2.ros_types import ros_types
+from services.ros2.stack_feed import StackFeed
+from shared import topics
+from shared.codec import Envelope, encode
+from shared.messages import BaseStatus
+from shared.runners.transport import StackAddress
+
+S = 10**9
+NAME, KEY = "/battery_state", topics.BASE_STATUS.key
+
+
+class FakeStack:
+    """Stands for the client and the reader of kept values, and keeps what each of them calls back."""
+
+    def __init__(self, monkeypatch):
+        self.hear, self.hear_kept, self.is_listened_to = {}, {}, threading.Event()
+        self.session = self
+        monkeypatch.setattr(stack_feed, "Client", lambda *_: self)
+        monkeypatch.setattr(stack_feed, "LatchedReader", self._read)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+    def now(self):
+        return 3000 * S
+
+    def listen_raw(self, key, callback):
+        self.hear[key] = callback
+        return lambda: None
+
+    def _read(self, _, full_key, callback):
+        self.hear_kept[full_key] = callback
+        self.is_listened_to.set()
+        return self
+
+    def close(self):
+        pass
+
+
+def status(battery, session, sequence, sent):
+    message = replace(BaseStatus(sent, 0.0, 0.0, 0.0, True, "", ""), battery=battery)
+    return encode(message, Envelope("base_driver", session, sequence, sent))
+
+
+def test_a_kept_value_that_is_newer_goes_to_ros_and_one_that_is_known_does_not(monkeypatch):
+    stack, config = FakeStack(monkeypatch), Ros2Config()
+    types, voltages, changed = ros_types(config.distro), [], threading.Condition()
+
+    def publish(name, data):
+        with changed:
+            voltages.append(round(types.decode(data, "sensor_msgs/msg/BatteryState").voltage, 1))
+            changed.notify_all()
+
+    def wait_for(voltage):
+        with changed:
+            assert changed.wait_for(lambda: voltages[-1:] == [voltage], 20.0), voltages
+
+    feed = StackFeed(config, "red", StackAddress(), publish, lambda: None)
+    feed.start()
+    try:
+        feed.want(NAME, True)
+        assert stack.is_listened_to.wait(20.0)
+        hear, hear_kept = stack.hear[KEY], stack.hear_kept[f"red/{KEY}"]
+        hear(KEY, status(11.0, "a", 3, 1000 * S))
+        wait_for(11.0)
+        hear_kept(status(11.0, "a", 3, 1000 * S))
+        hear_kept(status(12.0, "a", 2, 999 * S))
+        hear_kept(status(13.0, "z", 9, 999 * S))
+        hear_kept(status(14.0, "b", 0, 2000 * S))
+        wait_for(14.0)
+    finally:
+        feed.close()
+    assert voltages == [11.0, 14.0]
