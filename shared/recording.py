@@ -17,7 +17,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from shared.recordings.reader import ABOUT, CONFIG, Channel, Drop, Entry, Recording
-from shared.recordings.writer import Writer, is_finished
+from shared.recordings.writer import Writer, is_finished, is_locked
 from shared.repeatable import processor
 from shared.runners.host import Sent
 
@@ -32,6 +32,7 @@ __all__ = [
     "about",
     "arithmetic",
     "is_finished",
+    "is_locked",
     "sink",
 ]
 

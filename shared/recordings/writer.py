@@ -155,12 +155,21 @@ class Writer:
 def is_finished(file: IO[bytes]) -> bool:
     """Whether no process writes the recording. Keeps a shared lock on it until the file is closed."""
     try:
-        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
+        return not is_locked(file)
     except OSError:  # the file system has no locks
         return file.seek(0, os.SEEK_END) >= len(MAGIC) and _end_of(file) == MAGIC
-    return True
+
+
+def is_locked(file: IO[bytes]) -> bool:
+    """Whether a process holds the writer's lock. If not, keeps a shared lock on the file until it is closed.
+
+    Raises OSError where the file system has no locks.
+    """
+    try:
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    return False
 
 
 def _end_of(file: IO[bytes]) -> bytes:

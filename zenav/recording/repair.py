@@ -8,7 +8,7 @@ from pathlib import Path
 from shared.config import UserError
 from zenav.recording.new_recording import new_recording
 from zenav.recording.opening import open_recording
-from zenav.recording.selection import check_new_recording
+from zenav.recording.selection import check_new_recording, check_not_written
 
 
 def repair(path: Path, out: Path | None) -> int:
@@ -17,7 +17,9 @@ def repair(path: Path, out: Path | None) -> int:
     Where something is lost, the damaged file stays beside it as NAME.damaged. 1 where something is lost.
     """
     recording = open_recording(path)
-    if out is not None:
+    if out is None:
+        check_not_written(path)
+    else:
         check_new_recording(out, path)
     n = 0
     to = out or path.with_name(f"{path.name}.repaired")

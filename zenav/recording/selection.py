@@ -2,11 +2,12 @@
 """What all commands on recordings share: the keys that a person names, times since the start, names of new files."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from fnmatch import fnmatchcase
 from pathlib import Path
 
 from shared.config import UserError, nearest
-from shared.recording import Recording
+from shared.recording import Recording, is_locked
 from shared.topics import KEYS
 from shared.types import NS_PER_S
 
@@ -58,10 +59,18 @@ def time_range(recording: Recording, begin: float | None, end: float | None) -> 
 
 
 def check_new_recording(out: Path, *sources: Path) -> Path:
-    """A name for a new recording. Raises UserError where it is one of those that are read, or no MCAP's."""
+    """A name for a new recording. Raises UserError where it is read from, still written, or no MCAP's."""
     if out.suffix != ".mcap":
         raise UserError(f"{out} is no name for a recording", f"end it in .mcap: --out {out}.mcap")
     for source in sources:
         if out.exists() and out.samefile(source):
             raise UserError(f"{out} is read from", OUT_HINT)
+    check_not_written(out)
     return out
+
+
+def check_not_written(path: Path) -> None:
+    """Raises UserError where a recorder still writes the file: what replaced it would lose all that follows."""
+    with suppress(OSError), path.open("rb") as file:  # OSError: there is no file, or its file system has no locks
+        if is_locked(file):
+            raise UserError(f"{path} is still being written", "end its recorder first, or choose another file")

@@ -12,6 +12,7 @@ from shared.config import UserError, nearest
 from shared.recording import CONFIG, Recording, Writer
 from shared.runners.host import Sent
 from shared.runners.replay import Build, JobRun, Progress, Replayed, ReplayGap, replay
+from zenav.recording.selection import check_not_written
 from zenav.replay.comparison import Tolerances, TopicReport
 from zenav.replay.player_clock import contents
 
@@ -54,6 +55,8 @@ def replay_file(
     recording = Recording(path)
     if out is not None and out.exists() and out.samefile(path):
         raise UserError(f"{out} is the recording itself", "choose another name for --out")
+    if out is not None:
+        check_not_written(out)
     replayed = replay(recording, list(dict.fromkeys(names)), build, progress)
     if out is not None:
         try:

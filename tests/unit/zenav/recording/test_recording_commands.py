@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """`zenav recording`: its reports agree with what was published, and the recordings that it writes replay."""
 
+import errno
+import fcntl
 import json
 from pathlib import Path
 
@@ -273,6 +275,38 @@ def test_a_disk_that_refuses_leaves_the_damaged_file_as_it_is(run, tmp_path, mon
         repair(path, None)
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["run.mcap"]
+
+
+@pytest.mark.parametrize("command", ["repair", "repair --out", "trim", "merge", "replay"])
+def test_a_file_that_a_recorder_still_writes_is_not_replaced(run, tmp_path, capsys, command):
+    live = tmp_path / "live.mcap"
+    arguments = {
+        "repair": ["recording", "repair", str(live)],
+        "repair --out": ["recording", "repair", str(run), "--out", str(live)],
+        "trim": ["recording", "trim", str(run), "--begin", "1", "--out", str(live)],
+        "merge": ["recording", "merge", str(run), str(run), "--out", str(live)],
+        "replay": ["replay", str(run), "--through", "odometry", "--robot", "x80sv", "--out", str(live)],
+    }[command]
+    entries = list(Recording(run).entries(as_recorded=True))
+    with Writer(live, exclusive=True) as writer:
+        for entry in entries[:100]:
+            writer.copy(entry)
+        writer.flush()
+        assert _status(arguments) != 0
+        assert f"{live} is still being written" in capsys.readouterr().err
+        for entry in entries[100:]:
+            writer.copy(entry)
+    assert list(Recording(live).entries(as_recorded=True)) == entries
+
+
+def test_where_a_file_system_has_no_locks_an_unclosed_recording_is_repaired(run, tmp_path, monkeypatch):
+    def refused(file, operation):
+        raise OSError(errno.ENOLCK, "no locks")
+
+    cut = unclosed(run, tmp_path / "cut.mcap")
+    monkeypatch.setattr(fcntl, "flock", refused)
+    repair(cut, None)
+    assert Recording(cut).indexed
 
 
 def test_what_other_programs_wrote_survives_a_repair(tmp_path):
