@@ -178,6 +178,7 @@ class Player:
         self.notes: list[str] = []
         self.show: Show = lambda seconds, text: None
         self._client, self._recording, self._there, self._playing = client, recording, there, playing
+        self._jumps = player_clock.silences(recording, there.first)
         self._wish, self._keys, self._stop = wish, keys, stop
         self._steps = self._recorded = 0
         self._ended = False
@@ -234,7 +235,7 @@ class Player:
         start, end = self._wish.start * 1e9, (self._wish.end or inf) * 1e9
         latched, begun = LatchedState(), False
         entries = self._recording.entries(list(self._playing))
-        for place, entry in player_clock.timed_entries(entries, self._there.first, self.notes):
+        for place, entry in player_clock.timed_entries(entries, self._there.first, self._jumps, self.notes):
             key = self._playing[entry.key]
             if place < start:
                 latched.take(key, entry.payload)

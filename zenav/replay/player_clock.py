@@ -2,7 +2,8 @@
 """What a recording says on the wire again, and when: which keys, under which names, at which pace, by which clock."""
 
 import struct
-from collections.abc import Iterable, Iterator
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
@@ -121,19 +122,41 @@ def renamed_keys(assignments: Iterable[str], keys: Iterable[str]) -> dict[str, s
     return names
 
 
-def timed_entries(entries: Iterable[Entry], first: int, notes: list[str]) -> Iterator[tuple[int, Entry]]:
+def silences(recording: Recording, first: int) -> list[tuple[int, int]]:
+    """Where the recorder's clock jumped: (last time of logging before, first one after), ns, in their order.
+
+    first: ns, of the recording. All topics count. Only blocks that may hold a jump are read.
+    """
+    found: list[tuple[int, int]] = []
+    latest = first
+    for block in recording.blocks:
+        if block.end - latest <= MAX_SILENCE_NS:
+            latest = max(latest, block.end)
+            continue
+        for entry in recording.entries_of(block, as_recorded=True):
+            if entry.log_time - latest > MAX_SILENCE_NS:
+                found.append((latest, entry.log_time))
+            latest = max(latest, entry.log_time)
+    return found
+
+
+def timed_entries(
+    entries: Iterable[Entry], first: int, jumps: Sequence[tuple[int, int]], notes: list[str]
+) -> Iterator[tuple[int, Entry]]:
     """Each entry with its place: ns since the recording's beginning, never backwards, silences shortened.
 
-    notes: gets a line for what was shortened.
+    jumps: as from `silences`.   notes: gets a line for each that was shortened.
     """
-    place, before = 0, first
+    latest, passed, left = first, 0, deque(jumps)
     for entry in entries:
-        step = max(entry.log_time - before, 0)
-        if step > MAX_SILENCE_NS:
-            notes.append(f"{step / 1e9:.0f} s of silence at {place / 1e9:.1f} s are passed over")
-            step = SKIPPED_SILENCE_NS
-        place, before = place + step, max(before, entry.log_time)
-        yield place, entry
+        latest = max(latest, entry.log_time)
+        while left and latest >= left[0][1]:
+            begin, end = left.popleft()
+            place = (begin - first - passed) / 1e9
+            notes.append(f"{(end - begin) / 1e9:.0f} s of silence at {place:.1f} s are passed over")
+            passed += end - begin - SKIPPED_SILENCE_NS
+        within = max(latest - left[0][0] - SKIPPED_SILENCE_NS, 0) if left else 0  # logged before the clock jumped back
+        yield latest - first - passed - within, entry
 
 
 class Playhead:

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from shared import topics
 from shared.codec import CodecError, Envelope, decode, encode
 from shared.config import UserError
+from shared.messages import Goal, Odometry
 from shared.recording import Channel, Entry, Recording, Writer, sink
 from shared.recordings.latched_state import LatchedState
 from shared.runners.admission import Admission, Verdict
@@ -30,6 +31,7 @@ from zenav.replay.player_clock import (
     renamed_keys,
     restamped,
     selected_keys,
+    silences,
     timed_entries,
 )
 
@@ -79,16 +81,40 @@ def test_while_it_is_paused_nothing_is_due_but_a_step():
     assert head.due(5 * 10**9) == 10 * 10**9
 
 
+def jumps_of(times: list[int]) -> list[tuple[int, int]]:
+    latest = list(itertools.accumulate(times, max))
+    return [(a, b) for a, b in itertools.pairwise(latest) if b - a > MAX_SILENCE_NS]
+
+
 @given(st.lists(st.integers(0, 10**12), min_size=1))
 def test_places_follow_the_times_of_logging_and_never_go_back(times):
     channel = Channel("odom", "msgpack", "", "", b"")
     notes: list[str] = []
     entries = [Entry(channel, t, 0, 0, b"") for t in times]
-    places = [place for place, _ in timed_entries(entries, times[0], notes)]
+    jumps = jumps_of(times)
+    places = [place for place, _ in timed_entries(entries, times[0], jumps, notes)]
     assert places == sorted(places)
+    some = [place for place, _ in timed_entries(entries[::3], times[0], jumps, [])]
+    assert some == sorted(some)
     assert all(b - a <= MAX_SILENCE_NS for a, b in itertools.pairwise(places))
     if not notes and times == sorted(times):
         assert places == [t - times[0] for t in times]
+
+
+def test_a_topic_with_pauses_keeps_its_times_and_a_jump_of_the_clock_is_passed_over(tmp_path):
+    path, begin = tmp_path / "a.mcap", 10**18
+    seconds = [*range(200), *range(5000, 5200)]  # the clock jumped
+    with Writer(path) as writer:
+        for s in seconds:
+            writer.write("odom", Odometry, b"x", begin + s * 10**9, 0, s)
+            if s in (10, 150, 5100):
+                writer.write("goal", Goal, b"x", begin + s * 10**9, 0, s)
+    recording, notes = Recording(path), list[str]()
+    jumps = silences(recording, begin)
+    assert jumps == [(begin + 199 * 10**9, begin + 5000 * 10**9)]
+    entries = recording.entries(["goal"], as_recorded=True)
+    assert [place / 1e9 for place, _ in timed_entries(entries, begin, jumps, notes)] == [10.0, 150.0, 300.0]
+    assert notes == ["4801 s of silence at 199.0 s are passed over"]
 
 
 # --- what is played -------------------------------------------------------------------------------------------------
