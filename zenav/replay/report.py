@@ -58,6 +58,8 @@ def _check(wish: "PlaybackOptions", robot: str, rerun: ReplayOptions) -> None:
         raise UserError(f"{given[0]} is for services in this process", "name them: --through odometry,mapper")
     if rerun.tolerances and not (rerun.through or rerun.against):
         raise UserError("--tolerance is for a comparison", "--through services, or --against another recording")
+    if rerun.out and rerun.against and rerun.out.exists() and rerun.out.samefile(rerun.against):
+        raise UserError(f"{rerun.out} is what is compared with", "choose another --out")
     if rerun.picture and not rerun.against:
         raise UserError("--picture shows two runs", "name the other: --against other.mcap")
     if (rerun.through or rerun.against) and (wish != type(wish)() or (robot and not rerun.through)):

@@ -12,6 +12,7 @@ from shared.config import UserError, nearest
 from shared.recording import CONFIG, Recording, Writer
 from shared.runners.host import Sent
 from shared.runners.replay import Build, JobRun, Progress, Replayed, ReplayGap, replay
+from zenav.recording.new_recording import new_recording
 from zenav.recording.selection import check_not_written
 from zenav.replay.comparison import Tolerances, TopicReport
 from zenav.replay.player_clock import contents
@@ -59,10 +60,7 @@ def replay_file(
         check_not_written(out)
     replayed = replay(recording, list(dict.fromkeys(names)), build, progress)
     if out is not None:
-        try:
-            write_replayed(out, recording, replayed, {CONFIG: config.encode()} if config else {})
-        except OSError as error:
-            raise UserError(f"cannot write {out}: {error.strerror}", "choose another --out") from None
+        write_replayed(out, recording, replayed, {CONFIG: config.encode()} if config else {})
     there = contents(recording)
     report = compare_replayed(replayed, tolerances, there.first)
     report.notes += recording.problems
@@ -147,7 +145,7 @@ def _by_key(recording: Recording, names: list[str] | None) -> dict[str, dict[tup
 
 
 def write_replayed(out: Path, recording: Recording, replayed: Replayed, attachments: Mapping[str, bytes]) -> None:
-    """Writes the recording with the replayed sessions' messages in place of their recorded ones. Raises OSError.
+    """Writes the recording with the replayed sessions' messages in place of their recorded ones. Raises UserError.
 
     A message that was not recorded is placed by its send time. attachments: they replace the recording's of that name.
     """
@@ -161,7 +159,7 @@ def write_replayed(out: Path, recording: Recording, replayed: Replayed, attachme
         (sent for at, sent in reprocessed.items() if at not in recorded), key=lambda sent: -sent.envelope.sent
     )
     about = {**recording.about, "replayed": ",".join(replayed.sent)}
-    with Writer(out, about, {**recording.attachments, **attachments}) as writer:
+    with new_recording(out, recording, about, {**recording.attachments, **attachments}) as writer:
         for entry in recording.entries():
             while extra and extra[-1].envelope.sent <= entry.log_time:
                 _write_sent(writer, extra.pop())

@@ -10,6 +10,7 @@ from shared.config import UserError, load_robot
 from shared.recording import CONFIG, Recording, Writer, sink
 from shared.runners.host import Sent
 from tests.toys import Dead, build, eventful
+from zenav.__main__ import _status
 from zenav.recording.opening import recorded_robot_file
 from zenav.replay.comparison import TopicReport
 from zenav.replay.report import topic_line
@@ -65,6 +66,31 @@ def test_a_changed_service_is_told_by_its_first_difference(file, tmp_path):
     assert [e.key for e in out.entries()] == [e.key for e in recorded.entries()]
     assert list(out.entries(["pose", "map"])) == list(recorded.entries(["pose", "map"]))
     assert not {e.payload for e in out.entries(["odom"])} & {e.payload for e in recorded.entries(["odom"])}
+
+
+def test_a_replay_that_is_interrupted_leaves_what_was_there(file, tmp_path, monkeypatch):
+    written = []
+
+    def interrupted(*arguments):
+        written.append(arguments)
+        if len(written) == 10:
+            raise KeyboardInterrupt
+
+    out = tmp_path / "out.mcap"
+    out.write_bytes(b"former")
+    monkeypatch.setattr("zenav.replay.reprocess._write_sent", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        replay_file(file, ["mapper"], out, build, nothing)
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"former"]
+
+
+def test_a_replay_never_overwrites_what_it_is_compared_with(file, tmp_path, capsys):
+    reference = tmp_path / "reference.mcap"
+    reference.write_bytes(file.read_bytes())
+    arguments = ["replay", str(file), "--through", "odometry"]
+    assert _status([*arguments, "--against", str(reference), "--out", str(reference)]) == 2
+    assert "is what is compared with" in capsys.readouterr().err
+    assert reference.read_bytes() == file.read_bytes()
 
 
 def test_a_replay_can_be_replayed(file, tmp_path):
@@ -173,7 +199,7 @@ def test_a_recording_without_configuration_has_none(tmp_path):
     [
         (["maper"], "out.mcap", "maper is not a service"),
         (["mapper"], "a.mcap", "is the recording itself"),
-        (["mapper"], "no/folder/out.mcap", "cannot write"),
+        (["mapper"], "/dev/null/out.mcap", "cannot write"),
         (["guard"], "out.mcap", "no journal of guard"),
     ],
 )
