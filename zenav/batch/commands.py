@@ -15,7 +15,7 @@ from zenav.batch.engine import results
 from zenav.batch.revision import commit_of, run_revision
 from zenav.batch.storage import Folder, StoredLog, sources
 from zenav.batch.table import Row, last_table, write_table
-from zenav.batch.work import Work, process
+from zenav.batch.work import Work, check_work, process
 from zenav.console.table import show_table
 
 SHOWN = 20  # changes on the terminal; the page has all
@@ -32,6 +32,7 @@ def batch(
     one's last run. Raises UserError.
     """
     require_extra()
+    check_work(work)
     found, folder = sources(inputs), Folder(out)
     if commit := commit_of(against):
         if cluster:

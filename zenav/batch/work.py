@@ -13,7 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal, NamedTuple
 
-from shared.config import UserError
+from shared.config import UserError, load_robot
 from zenav.batch.storage import Folder, StoredLog, content_tag, local_copy
 from zenav.batch.table import Row
 
@@ -60,11 +60,21 @@ def result_key(tag: str, work: Work, code: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
+def check_work(work: Work) -> None:
+    """Raises UserError where a work's services, robot or settings are wrong, whatever the recording."""
+    from zenav.replay.report import apply_settings, check_services
+
+    if isinstance(work, ReplayWork):
+        check_services(work.services, work.settings)
+        if work.robot:
+            apply_settings(load_robot(work.robot), work.services, work.settings)
+
+
 def process(work: Work, out: str, code: str, source: StoredLog) -> Row:
     """The row of a recording, from its result in `out`, or after the work, whose result is then stored there.
 
     code: hash of this code. A recording that the work refuses is a result too: it is refused again until input, code or
-    configuration change.
+    configuration change. Where an OSError is behind it, as of a full disk, the row is failed, and is not stored.
     Raises UserError where a store does not give or take a file.
     """
     folder, tag = Folder(out), content_tag(source)
@@ -81,8 +91,11 @@ def process(work: Work, out: str, code: str, source: StoredLog) -> Row:
             figures, files = _RUN[type(work)](work, path)
             row |= figures
         except UserError as error:
-            row |= {"state": "refused", "error": error.what.replace(str(path), source.url)}
+            state = "failed" if isinstance(error.__context__, OSError) else "refused"
+            row |= {"state": state, "error": error.what.replace(str(path), source.url)}
     row |= {"seconds": round(time.monotonic() - begun, 3), "cpu_s": round(time.process_time() - cpu, 3)}
+    if row["state"] == "failed":
+        return {**row, "cached": False}
     for name, content in files.items():
         folder.write(f"{place}/{name}", content)
     folder.write(f"{place}/{ROW}", json.dumps(row).encode())

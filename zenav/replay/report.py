@@ -4,7 +4,7 @@
 import sys
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -168,24 +168,36 @@ def replay_configuration(recording: "Recording", names: list[str], robot: str, s
     Raises UserError where there is none, or where a setting is none of these services.
     """
     from zenav.recording.opening import recorded_robot_file
-    from zenav.stack.config_report import read_sections
 
-    for name in names:
-        if name not in SERVICES:
-            raise UserError(f"{name} is not a service", nearest(name, SERVICES))
+    check_services(names, settings)
     file = load_robot(robot) if robot else recorded_robot_file(recording)
     if file is None:
         raise UserError(f"{recording.path} holds no configuration", "name the robot: --robot x80sv")
+    if settings or robot:
+        apply_settings(file, names, settings)
+    return file
+
+
+def check_services(names: Sequence[str], settings: Sequence[str]) -> None:
+    """Raises UserError where a name is no service, or a setting is of a service that is not named."""
+    for name in names:
+        if name not in SERVICES:
+            raise UserError(f"{name} is not a service", nearest(name, SERVICES))
     for assignment in settings:
         section = assignment.partition(".")[0].strip()
         if section in SERVICES and section not in names:
             raise UserError(
                 f"--set {assignment}: {section} is not replayed", f"--through {','.join([*names, section])}"
             )
+
+
+def apply_settings(file: RobotFile, names: Sequence[str], settings: Sequence[str]) -> None:
+    """Sets what was set otherwise in a robot's file, and reads it for some services. Raises UserError."""
+    from zenav.stack.config_report import read_sections
+
+    for assignment in settings:
         file.override(assignment)
-    if settings or robot:
-        read_sections(file, tuple(names))
-    return file
+    read_sections(file, tuple(names))
 
 
 def job_lines(report: "ReplayReport") -> list[str]:

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What of a batch's work is kept, and what is refused before any recording is read."""
+
+import pytest
+
+from shared.config import UserError
+from zenav.batch import work
+from zenav.batch.child_process import TryLimits
+from zenav.batch.commands import batch
+from zenav.batch.storage import sources
+from zenav.batch.work import ReplayWork, SlamWork, process
+
+
+def refusing(behind: Exception | None):
+    def run(asked, path):
+        try:
+            if behind is not None:
+                raise behind
+        except OSError:
+            raise UserError("cannot write out.mcap", "free the disk") from None
+        raise UserError(f"{path} holds no scan", "take another log")
+
+    return run
+
+
+def test_a_fault_of_the_disk_is_tried_again_and_a_refused_recording_is_not(tmp_path, monkeypatch):
+    (tmp_path / "a.log").write_text("no log")
+    source, out = sources([str(tmp_path / "a.log")])[0], str(tmp_path / "out")
+    monkeypatch.setitem(work._RUN, SlamWork, refusing(OSError(28, "No space left on device")))
+    rows = [process(SlamWork(), out, "code", source) for _ in range(2)]
+    assert [(row["state"], row["cached"]) for row in rows] == [("failed", False), ("failed", False)]
+    monkeypatch.setitem(work._RUN, SlamWork, refusing(None))
+    rows = [process(SlamWork(), out, "code", source) for _ in range(2)]
+    assert [(row["state"], row["cached"]) for row in rows] == [("refused", False), ("refused", True)]
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        (ReplayWork(("maper",)), "maper is not a service"),
+        (ReplayWork(("mapper",), settings=("guard.margin=1",)), "guard is not replayed"),
+        (ReplayWork(("mapper",), robot="x99"), "there is no robot x99"),
+        (ReplayWork(("mapper",), robot="x80sv", settings=("mapper.nothing=1",)), "nothing"),
+    ],
+)
+def test_what_is_wrong_for_every_recording_is_told_before_the_first(tmp_path, asked, words):
+    (tmp_path / "a.mcap").write_bytes(b"no recording")
+    with pytest.raises(UserError, match=words):
+        batch(asked, [str(tmp_path)], str(tmp_path / "out"), 1, "", TryLimits(), "", False)
+    assert not (tmp_path / "out").exists()
