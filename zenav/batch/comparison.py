@@ -40,12 +40,13 @@ def changes(before: list[Row], after: list[Row]) -> list[Change]:
 
 def _changes_of(before: Row, after: Row) -> list[Change]:
     recording, keys = str(after["recording"]), (str(before.get("key", "")), str(after.get("key", "")))
-    if "input" in before and before["input"] != after.get("input"):  # another content: figures are not comparable
-        texts = {"before": str(before["input"]), "after": str(after.get("input", ""))}
+    inputs = before.get("input"), after.get("input")  # none where the process did not come to an end
+    if None not in inputs and inputs[0] != inputs[1]:  # another content: figures are not comparable
+        texts = {"before": str(inputs[0]), "after": str(inputs[1])}
         return [Change(recording, "input", **texts, worse=0.0, keys=keys)]
     states = str(before["state"]), str(after["state"])
     if states[0] != states[1]:
-        worse = float("inf") if states[0] == DONE else float("-inf")
+        worse = float("inf") if states[0] == DONE else float("-inf") if states[1] == DONE else 0.0
         return [Change(recording, "state", before=states[0], after=states[1], worse=worse, keys=keys)]
     found = []
     for names, sign in ((BETTER_HIGHER, -1.0), (BETTER_LOWER, 1.0)):

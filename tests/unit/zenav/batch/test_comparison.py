@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+import pytest
+
 from zenav.batch.comparison import changes, lines, page
 from zenav.batch.table import parquet, rows_of
 
@@ -37,3 +39,12 @@ def test_a_recording_whose_content_changed_is_named_and_not_compared():
     before, after = [row("a", input="1", quality=1.0)], [row("a", input="2", quality=0.1)]
     assert [(one.figure, one.worse) for one in changes(before, after)] == [("input", 0.0)]
     assert changes(before, [row("a", input="1", quality=0.1)])[0].figure == "quality"
+
+
+@pytest.mark.parametrize("ending", ["died", "timeout", "memory", "failed"])
+def test_a_recording_that_does_not_come_through_any_more_is_worse(ending):
+    done, ended = row("a", input="1"), {"recording": "a", "state": ending, "error": "killed", "tries": 2}
+    assert [(one.figure, one.worse) for one in changes([done], [ended])] == [("state", float("inf"))]
+    assert [(one.figure, one.worse) for one in changes([ended], [done])] == [("state", float("-inf"))]
+    other = {**ended, "state": "refused"}
+    assert [(one.figure, one.worse) for one in changes([ended], [other])] == [("state", 0.0)]
