@@ -33,11 +33,15 @@ class SlamWork:
 
 @dataclass(frozen=True, slots=True)
 class ReplayWork:
-    """A recording through services of today. services: names.  settings: as for `--set`."""
+    """A recording through services of today. services: names.  settings: as for `--set`.
+
+    robot_text: the configuration of `robot`, for the key: a file that was edited gives other results.
+    """
 
     services: tuple[str, ...]
     robot: str = ""
     settings: tuple[str, ...] = ()
+    robot_text: str = ""
 
 
 Work = SlamWork | ReplayWork

@@ -71,10 +71,11 @@ def replay(
 
     Example: zenav batch replay recordings/ --through mapper --out results
     """
+    from shared.config import load_robot
     from zenav.batch.child_process import TryLimits
     from zenav.batch.commands import batch as run
     from zenav.batch.work import ReplayWork
 
-    work = ReplayWork(tuple(through), robot, tuple(set_ or []))
+    work = ReplayWork(tuple(through), robot, tuple(set_ or []), load_robot(robot).text if robot else "")
     limits = TryLimits(timeout, round(memory * 1e6), tries)
     raise typer.Exit(run(work, inputs, out, jobs, cluster, limits, against, fail_worse))

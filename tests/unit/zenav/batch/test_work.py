@@ -3,12 +3,13 @@
 
 import pytest
 
-from shared.config import UserError
+from shared.config import UserError, robot_path
+from zenav.__main__ import _status
 from zenav.batch import work
 from zenav.batch.child_process import TryLimits
 from zenav.batch.commands import batch
 from zenav.batch.storage import sources
-from zenav.batch.work import ReplayWork, SlamWork, process
+from zenav.batch.work import ReplayWork, SlamWork, process, result_key
 
 
 def refusing(behind: Exception | None):
@@ -48,3 +49,12 @@ def test_what_is_wrong_for_every_recording_is_told_before_the_first(tmp_path, as
     with pytest.raises(UserError, match=words):
         batch(asked, [str(tmp_path)], str(tmp_path / "out"), 1, "", TryLimits(), "", False)
     assert not (tmp_path / "out").exists()
+
+
+def test_an_edited_file_of_a_robot_gives_other_keys(tmp_path, monkeypatch):
+    robot, asked = tmp_path / "red.yaml", []
+    monkeypatch.setattr("zenav.batch.commands.batch", lambda work, *rest: asked.append(work) or 0)
+    for text in (robot_path("x80sv").read_text(), robot_path("x80sv").read_text() + "\n# edited\n"):
+        robot.write_text(text)
+        assert _status(["batch", "replay", "a.mcap", "--out", "o", "--through", "mapper", "--robot", str(robot)]) == 0
+    assert len({result_key("a", work, "code") for work in asked}) == 2
