@@ -97,13 +97,13 @@ def recording_row(source: StoredLog) -> Row:
 
 
 def row_of_file(path: Path, source: StoredLog) -> Row:
-    """The row of a recording by its file here. A file that is no recording is `refused`."""
+    """The row of a recording by its file here. A file that is no recording, or a newer one, is `refused`."""
     row: Row = {"recording": source.url, "size": source.size, TAG: content_version(source)}
     try:
-        recording = open_recording(path)
+        figures = _figures(open_recording(path))
     except UserError as error:
         return {**row, "state": "refused", "error": error.what.replace(str(path), source.url)}
-    return {**row, "state": "done", "error": "", **_figures(recording)}
+    return {**row, "state": "done", "error": "", **figures}
 
 
 def _figures(recording: Recording) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
+from stat import S_ISREG
 from typing import Self
 
 from services.recorder.retention import UPLOADED_SUFFIX
@@ -103,16 +104,19 @@ class UploadProgress(_Sidecar):
 
 
 def finished_recordings(folder: Path, patterns: Iterable[str]) -> list[Path]:
-    """Recordings in a folder that no process writes, the oldest first. Raises UserError."""
+    """Recordings in a folder that no process writes, the oldest first. What cannot be read is left out.
+
+    Raises UserError where the folder cannot be read.
+    """
     found = []
     try:
         for path in folder.iterdir():
             if path.suffix in (UPLOADED_SUFFIX, PROGRESS_SUFFIX) or path.name.startswith("."):
                 continue
             if any(fnmatchcase(path.name, pattern) for pattern in patterns):
-                with suppress(FileNotFoundError):  # removed meanwhile
+                with suppress(OSError):  # removed meanwhile, or not to be read
                     stat = path.stat()
-                    if stat.st_size and _is_finished(path):
+                    if S_ISREG(stat.st_mode) and stat.st_size and _is_finished(path):
                         found.append((stat.st_mtime_ns, path))
     except OSError as error:
         raise UserError(f"cannot read {folder}: {error.strerror}", "name a folder of recordings") from None

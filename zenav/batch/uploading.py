@@ -69,8 +69,12 @@ class FolderUpload:
     def run(self) -> int:
         """Uploads until all that is finished is uploaded. Returns how many recordings were uploaded.
 
-        An error of store or network is reported, and tried again later. Raises UserError where the folder is none.
+        An error of store or network is reported, and tried again later. Raises UserError where the folder is none, or
+        is the place itself.
         """
+        place = self._store.folder
+        if place.is_local and Path(place.path).resolve() == self._folder.resolve():
+            raise UserError(f"{self._folder} is the place of the uploads itself", "name another place")
         n_uploaded = 0
         with upload_lock(self._folder, self._say_state, self._wait):
             self._abandon()

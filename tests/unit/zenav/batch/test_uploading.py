@@ -4,6 +4,7 @@
 import os
 import shutil
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import fsspec
@@ -309,3 +310,32 @@ def test_what_is_beside_a_recording_may_be_damaged(place, tmp_path):
     (here / "x80-20260101-000000.mcap.uploaded").write_bytes(b"")
     assert run(here, url) == 1
     assert Uploaded.of(here / "x80-20260101-000000.mcap").url == f"{url}/x80-20260101-000000.mcap"
+
+
+def test_an_entry_that_is_no_file_blocks_no_upload(place, tmp_path):
+    url, here = place("folder"), recordings(tmp_path / "here", "a.mcap")
+    (here / "folder.mcap").mkdir()
+    (here / "loop.mcap").symlink_to("loop.mcap")
+    os.mkfifo(here / "pipe.mcap")
+    assert run(here, url) == 1
+    assert list(there(url)) == ["a.mcap"]
+
+
+def test_a_folder_is_not_uploaded_to_itself(tmp_path, capsys):
+    here = recordings(tmp_path / "here", "a.mcap")
+    (tmp_path / "link").symlink_to(here)
+    for url in (str(here), str(tmp_path / "link"), f"file://{here}/"):
+        assert _status(["recording", "upload", str(here), url]) == 2
+        assert "is the place of the uploads itself" in capsys.readouterr().err
+    assert [path.name for path in here.iterdir()] == ["a.mcap"]
+
+
+def test_a_recording_of_a_newer_version_is_uploaded_with_a_refused_row(place, tmp_path):
+    url, here = place("folder"), recordings(tmp_path / "here", "a.mcap")
+    source = Recording(here / "a.mcap")
+    with Writer(here / "newer.mcap", source.about) as writer:
+        for entry in source.entries(["odom"], as_recorded=True):
+            name = entry.channel.schema_name.rpartition("-")[0] + "-ffffffff"
+            writer.copy(replace(entry, channel=replace(entry.channel, schema_name=name)))
+    assert run(here, url) == 2
+    assert {name: row["state"] for name, row in rows_of(url).items()} == {"a.mcap": "done", "newer.mcap": "refused"}
