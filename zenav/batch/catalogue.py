@@ -50,13 +50,16 @@ class Catalogue:
         content = json.dumps(row, sort_keys=True).encode()
         self._place.write(f"{FOLDER}/{_name(content)}.json", content)
 
-    def read(self) -> "tuple[Table | None, list[str]]":
-        """The rows, one a recording, and the files that hold them; None where there is no catalogue."""
+    def read(self, damaged: list[str] | None = None) -> "tuple[Table | None, list[str]]":
+        """The rows, one a recording, and the files that hold them; None where there is no catalogue.
+
+        damaged: gets the files that are damaged; None: such a file is a UserError.
+        """
         for _ in range(MAX_TRIES):
             names = [name for name in self._place.names(FOLDER) if name.endswith((".json", ".parquet"))]
             contents = self._place.read_all(names)
             if len(contents) == len(names):
-                return (_one_a_recording(_table(contents)) if names else None), names
+                return (_one_a_recording(_table(contents, damaged)) if names else None), names
         raise UserError(f"{self._place.url}/{FOLDER} changes again and again", "try it later")
 
     def replace(self, table: "Table", names: Iterable[str]) -> None:
@@ -98,26 +101,48 @@ def _arrow_types() -> dict[str, Any]:
     return {name: types[type_] for name, type_ in (COLUMNS | {TAG: "VARCHAR", REVISION: "BIGINT"}).items()}
 
 
-def _table(contents: dict[str, bytes]) -> "Table":
-    """The rows of all files. Another version's columns are left out, and its missing ones null."""
+def _table(contents: dict[str, bytes], damaged: list[str] | None = None) -> "Table":
+    """The rows of all files. Another version's columns are left out, and its missing ones null.
+
+    damaged: as in `Catalogue.read`.
+    """
+    import pyarrow as pa
+
+    rows: list[Row] = []
+    tables = []
+    for name in sorted(contents):
+        try:
+            if name.endswith(".json"):
+                rows.append(_row(contents[name]))
+            else:
+                tables.append(_read_parquet(contents[name]))
+        except (ValueError, pa.ArrowException, OSError) as error:
+            if damaged is None:
+                hint = "zenav recording find --refresh reads its recordings again"
+                raise UserError(f"{name} is damaged: {error}", hint) from None
+            damaged.append(name)
+    return pa.concat_tables([table_of(rows), *tables])
+
+
+def _row(content: bytes) -> Row:
+    """Raises ValueError where it is none."""
+    row = json.loads(content)
+    if not isinstance(row, dict) or "recording" not in row:
+        raise ValueError("it holds no row")
+    return row
+
+
+def _read_parquet(content: bytes) -> "Table":
+    """Raises ArrowException or OSError where it is damaged."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    types = _arrow_types()
-    tables = [table_of([json.loads(text) for name, text in sorted(contents.items()) if name.endswith(".json")])]
-    for name in sorted(contents):
-        if not name.endswith(".parquet"):
-            continue
-        try:
-            table = pq.read_table(BytesIO(contents[name]))
-            columns = [
-                table[key].cast(type_) if key in table.column_names else pa.nulls(len(table), type_)
-                for key, type_ in types.items()
-            ]
-        except pa.ArrowInvalid as error:
-            raise UserError(f"{name} is damaged: {error}", "remove it, then: zenav recording find --refresh") from None
-        tables.append(pa.table(dict(zip(types, columns, strict=True))))
-    return pa.concat_tables(tables)
+    types, table = _arrow_types(), pq.read_table(BytesIO(content))
+    columns = [
+        table[key].cast(type_) if key in table.column_names else pa.nulls(len(table), type_)
+        for key, type_ in types.items()
+    ]
+    return pa.table(dict(zip(types, columns, strict=True)))
 
 
 def _one_a_recording(table: "Table") -> "Table":

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The table of a batch: one row a recording, as Parquet. `runs/TIME.parquet` of the output keeps each run's."""
 
+import sys
 from datetime import UTC, datetime
 from io import BytesIO
 from typing import Any
@@ -25,9 +26,18 @@ def write_table(out: Folder, rows: list[Row]) -> None:
 
 
 def last_table(out: Folder) -> list[Row]:
-    """The rows of the newest run; none where there was none."""
+    """The rows of the newest run; none where there was none. A table that is damaged counts as none, with a note."""
     content = out.read(TABLE)
-    return rows_of(content) if content is not None else []
+    if content is None:
+        return []
+    require_extra()
+    from pyarrow import ArrowException
+
+    try:
+        return rows_of(content)
+    except (ArrowException, OSError):  # OSError: of a damaged page
+        sys.stderr.write(f"{out.url}/{TABLE} is damaged: nothing is compared with it\n")
+        return []
 
 
 def parquet(rows: list[Row]) -> bytes:

@@ -84,11 +84,10 @@ def process(work: Work, out: str, code: str, source: StoredLog) -> Row:
     folder, tag = Folder(out), content_tag(source)
     key = result_key(tag, work, code)
     place = f"results/{key}"
-    if (stored := folder.read(f"{place}/{ROW}")) is not None:
-        row: Row = json.loads(stored)
-        return {**row, "recording": source.url, "cached": True}
+    if stored := _stored_row(folder.read(f"{place}/{ROW}")):
+        return {**stored, "recording": source.url, "cached": True}
     begun, cpu = time.monotonic(), time.process_time()
-    row = {"recording": source.url, "key": key, "input": _short_hash(tag.encode()), "state": "done", "error": ""}
+    row: Row = {"recording": source.url, "key": key, "input": _short_hash(tag.encode()), "state": "done", "error": ""}
     files: dict[str, bytes] = {}
     with local_copy(source.url) as path:
         try:
@@ -104,6 +103,15 @@ def process(work: Work, out: str, code: str, source: StoredLog) -> Row:
         folder.write(f"{place}/{name}", content)
     folder.write(f"{place}/{ROW}", json.dumps(row).encode())
     return {**row, "cached": False}
+
+
+def _stored_row(content: bytes | None) -> Row:
+    """The row in a `row.json`; empty where there is none, or a full disk or a crash left it damaged."""
+    try:
+        row = json.loads(content or b"{}")
+    except ValueError:
+        return {}
+    return row if isinstance(row, dict) and "state" in row else {}
 
 
 def run_slam(work: SlamWork, path: Path) -> Result:

@@ -132,3 +132,17 @@ def test_the_catalogue_says_what_was_recorded_and_only_what_changed_is_read_agai
     assert _status(["recording", "find", "robot=green", str(tmp_path), "--as-it-is"]) == 1
     shutil.rmtree(tmp_path / FOLDER)
     assert _status(["recording", "find", "robot=green", str(tmp_path), "--as-it-is"]) == 2
+
+
+@pytest.mark.parametrize("content", [b"", b"[]", b"\xff\xfe", b"PAR1 and then noise"])
+@pytest.mark.parametrize("ending", ["json", "parquet"])
+def test_a_damaged_file_of_the_catalogue_is_named_and_refresh_replaces_it(tmp_path, capsys, content, ending):
+    shutil.copy(path_of("driving"), tmp_path / "a.mcap")
+    assert update(str(tmp_path), 1).num_rows == 1
+    damaged = tmp_path / FOLDER / f"damaged.{ending}"
+    damaged.write_bytes(content)
+    assert _status(["recording", "find", "", str(tmp_path)]) == 2
+    assert f"{FOLDER}/{damaged.name} is damaged" in capsys.readouterr().err
+    assert _status(["recording", "find", "", str(tmp_path), "--refresh"]) == 0
+    assert not damaged.exists()
+    assert _status(["recording", "find", "", str(tmp_path)]) == 0

@@ -8,7 +8,8 @@ from zenav.__main__ import _status
 from zenav.batch import work
 from zenav.batch.child_process import TryLimits
 from zenav.batch.commands import batch
-from zenav.batch.storage import sources
+from zenav.batch.storage import Folder, sources
+from zenav.batch.table import last_table
 from zenav.batch.work import ReplayWork, SlamWork, process, result_key
 
 
@@ -58,3 +59,17 @@ def test_an_edited_file_of_a_robot_gives_other_keys(tmp_path, monkeypatch):
         robot.write_text(text)
         assert _status(["batch", "replay", "a.mcap", "--out", "o", "--through", "mapper", "--robot", str(robot)]) == 0
     assert len({result_key("a", work, "code") for work in asked}) == 2
+
+
+@pytest.mark.parametrize("content", [b"", b"[]", b"{", b"\xff"])
+def test_a_damaged_result_or_table_counts_as_none(tmp_path, monkeypatch, capsys, content):
+    (tmp_path / "a.log").write_text("no log")
+    source, out = sources([str(tmp_path / "a.log")])[0], tmp_path / "out"
+    monkeypatch.setitem(work._RUN, SlamWork, refusing(None))
+    first = process(SlamWork(), str(out), "code", source)
+    (out / "results" / first["key"] / "row.json").write_bytes(content)
+    assert not process(SlamWork(), str(out), "code", source)["cached"]
+    assert process(SlamWork(), str(out), "code", source)["cached"]
+    (out / "table.parquet").write_bytes(content)
+    assert last_table(Folder(str(out))) == []
+    assert "table.parquet is damaged" in capsys.readouterr().err
