@@ -30,8 +30,8 @@ def convert(place: str, out: Path, mode: Mode, negate: bool, force: bool) -> Non
     cells, resolution, x0, y0, yaw = read_turned_ros_map(path)
     if (out / "map.yaml").exists() and not force:
         raise UserError(f"there is a map in {out}", "choose another folder, or overwrite it: --force")
-    if (out / "map.yaml").exists() and (out / "map.yaml").samefile(path):
-        raise UserError(f"{out} is what is to be read", "choose another folder")
+    if out.resolve() in (path.parent.resolve(), path.resolve().parent):  # whose picture may have the same name
+        raise UserError(f"{out} is the folder of what is to be read", "choose another folder")
     if abs(yaw) > 1e-6:
         cells, x0, y0 = axis_aligned(cells, resolution, x0, y0, yaw)
         sys.stderr.write(f"{path} is turned by {degrees(yaw):.1f} degrees: it was turned back, to the nearest cells\n")

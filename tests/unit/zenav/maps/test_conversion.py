@@ -67,6 +67,16 @@ def test_a_map_that_is_there_is_not_written_over_unless_that_is_said(tmp_path):
         convert(str(path), path.parent, "raw", False, True)
 
 
+def test_a_map_of_another_name_keeps_its_picture(tmp_path):
+    path = saved(tmp_path / "in").rename(tmp_path / "in" / "floor.yaml")
+    (tmp_path / "link").symlink_to(path.parent)
+    before = {file.name: file.read_bytes() for file in path.parent.iterdir()}
+    for out in (path.parent, tmp_path / "link", tmp_path / "in" / ".." / "in"):
+        with pytest.raises(UserError, match="what is to be read"):
+            convert(str(path), out, "trinary", True, True)
+    assert {file.name: file.read_bytes() for file in path.parent.iterdir()} == before
+
+
 def test_a_turned_map_is_refused_with_the_command_that_turns_it(tmp_path, capsys):
     path = saved(tmp_path / "in", yaw=0.5)
     with pytest.raises(UserError, match=r"turned by 0\.5 rad") as error:
