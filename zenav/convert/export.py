@@ -72,7 +72,10 @@ def convert(
             counts = chosen.write(Conversion(source, content, fresh, trajectory, progress))
             if not sum(counts.values()):
                 raise UserError(f"{source}: nothing in it for {chosen.about}", content.lacks or "take another format")
-            _put(fresh, out)
+            if (fresh / "map.yaml").is_file() and (out / "map.yaml").is_file():
+                _put_map(fresh, out)
+            else:
+                _put(fresh, out)
     except (OSError, sqlite3.Error) as error:
         cause = getattr(error, "strerror", None) or error
         raise UserError(f"cannot write {out}: {cause}", "check the path and the disk") from None
@@ -126,6 +129,14 @@ def _put(fresh: Path, out: Path) -> None:
         os.rename(fresh, out)
     else:
         os.replace(fresh, out)
+
+
+def _put_map(fresh: Path, out: Path) -> None:
+    """Replaces a map in its folder, where zones, places and other files stay. A pose graph is of the former map."""
+    from zenav.maps.atomic_folder import replace_together
+    from zenav.maps.saved_map import GRAPH  # the mapper behind it takes long to load
+
+    replace_together(out, {GRAPH: b""} | {path.name: path.read_bytes() for path in fresh.iterdir()})
 
 
 # --- the formats that need few words --------------------------------------------------------------------------------

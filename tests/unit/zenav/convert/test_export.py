@@ -221,6 +221,20 @@ def test_a_recording_gives_its_last_map(tmp_path):
         convert(small().write(tmp_path / "bag"), tmp_path / "other", "map", Choice(), "", False)
 
 
+def test_a_map_that_is_written_over_leaves_the_other_files_of_its_folder(tmp_path):
+    out = tmp_path / "office"
+    convert(ROOM, out, "map", Choice(), "", False)
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    for name in ("places.yaml", "zones.yaml", "notes.txt"):
+        (out / name).write_bytes(b"kept")
+    for name in ("graph.msgpack", "map.pgm"):
+        (out / name).write_bytes(b"of another map")
+    convert(ROOM, out, "map", Choice(), "", True)
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before | dict.fromkeys(
+        ("places.yaml", "zones.yaml", "notes.txt"), b"kept"
+    )
+
+
 # --- trajectories ---------------------------------------------------------------------------------------------------
 
 
