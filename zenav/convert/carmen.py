@@ -83,7 +83,7 @@ def _robotlaser(cells: list[str]) -> LoggedScan:
     ranges = _ranges(cells[8 : 8 + n], n)
     rest = cells[9 + n + _count(cells[8 + n], minimum=0) :]
     x, y, yaw, base_x, base_y, base_yaw = _numbers(rest[:6], 6)
-    if increment == 0 or abs(increment) * (n - 1) > 2 * pi + 1e-3 or not 0 < range_max <= 250:
+    if abs(start) > 2 * pi or increment == 0 or abs(increment) * (n - 1) > 2 * pi + 1e-3 or not 0 < range_max <= 250:
         raise ValueError("a scan of no angles")
     return LoggedScan(
         stamp=_stamp(rest[11]),

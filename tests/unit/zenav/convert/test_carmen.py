@@ -80,6 +80,7 @@ def test_a_zipped_log_reads_the_same(tmp_path):
         "FLASER 3 1 2 x 0 0 0 0 0 0 1 host 1",
         FLASER[:500],
         ROBOTLASER.replace(" 0.0174533 ", " 0 "),
+        ROBOTLASER.replace(" -1.5707 ", " 900000 "),
         ROBOTLASER[:90],
     ],
 )
