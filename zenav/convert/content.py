@@ -41,17 +41,20 @@ class Content:
 
 
 def content_of(log: DriveLog) -> Content:
-    """A log's records as messages."""
+    """A log's records as messages. A scan's odometry has the speeds of the latest pose before it."""
     messages: list[tuple[str, Message]] = []
     scans = [record for record in log.records if isinstance(record, LoggedScan)]
     range_max = range_max_of(scans) if scans else 0.0
-    for record in log.records:
-        v, w = (record.v, record.w) if isinstance(record, LoggedPose) else (0.0, 0.0)
+    v = w = 0.0
+    for record in sorted(log.records, key=lambda record: record.stamp):
+        if isinstance(record, LoggedPose):
+            v, w = record.v, record.w
         if log.has_odometry:
             messages.append(("odom", Odometry(record.stamp, record.odom_from_base, v, w, np.zeros(9))))
         if isinstance(record, LoggedScan):
             messages.append(("scan", _scan(record, range_max)))
-    return Content(messages, mount_of(scans) if scans else Mount(), log.n_bad, list(log.notes))
+    notes = [*log.notes, *(["the log ends early: what follows in its zipped data is lost"] if log.truncated else [])]
+    return Content(messages, mount_of(scans) if scans else Mount(), log.n_bad, notes)
 
 
 def _scan(record: LoggedScan, range_max: float) -> LaserScan:

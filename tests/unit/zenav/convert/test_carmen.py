@@ -10,8 +10,10 @@ from numpy.testing import assert_allclose
 
 from shared.config import UserError
 from shared.geometry import Pose2
+from shared.messages import Odometry
 from zenav.convert.carmen import read_carmen
-from zenav.convert.records import LoggedPose, LoggedScan
+from zenav.convert.content import content_of
+from zenav.convert.records import DriveLog, LoggedPose, LoggedScan
 
 ODOM = "ODOM 1.0 2.0 0.5 0.3 -0.1 0 12.5 host 12.6"
 FLASER = "FLASER 180 " + "2.5 " * 180 + "1.1 2.0 0.5 1.0 2.0 0.5 13.5 host 13.6"
@@ -105,6 +107,20 @@ def test_a_zipped_log_that_ends_early_gives_what_it_holds(tmp_path):
     found = read_carmen(path)
     assert found.truncated
     assert 500 < len(found.records) < 5000
+
+
+def test_a_log_that_ends_early_is_noted_in_its_conversion():
+    assert content_of(DriveLog([])).notes == []
+    (note,) = content_of(DriveLog([], truncated=True)).notes
+    assert "ends early" in note
+
+
+def test_messages_of_a_log_are_in_the_order_of_their_stamps_and_scans_keep_the_speed(tmp_path):
+    late = ODOM.replace(" 12.5 ", " 14.0 ").replace(" 0.3 -0.1 ", " 0.7 0.2 ")
+    messages = [message for _, message in content_of(read_carmen(log(tmp_path, late, FLASER, ODOM))).messages]
+    assert [message.stamp for message in messages] == [12_500_000_000, 13_500_000_000, 13_500_000_000, 14_000_000_000]
+    speeds = [(message.v, message.w) for message in messages if isinstance(message, Odometry)]
+    assert speeds == [(0.3, -0.1), (0.3, -0.1), (0.7, 0.2)]
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path):
