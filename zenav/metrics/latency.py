@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from shared.codec import envelope_of
+from shared.codec import CodecError, envelope_of
 from shared.messages import Message
 from shared.recording import Recording
 from shared.runners.host import MESSAGE, TICK
@@ -158,10 +158,13 @@ def _timed_handler(service: Service, handler: Callable[..., Out], spent: dict[in
 
 
 def _times_sent(recording: Recording, key: str) -> dict[Source, int]:
-    """(session, sequence) -> ns of every message on a key."""
+    """(session, sequence) -> ns of every message on a key that can be read."""
     times = {}
     for entry in recording.entries((key,)):
-        envelope = envelope_of(entry.payload)
+        try:
+            envelope = envelope_of(entry.payload)
+        except CodecError:
+            continue
         times[(envelope.session, envelope.sequence)] = envelope.sent
     return times
 

@@ -3,9 +3,10 @@
 
 import json
 import sys
+from contextlib import suppress
 from pathlib import Path
 
-from shared.codec import decode
+from shared.codec import CodecError, decode
 from shared.config import UserError
 from shared.topics import topic_of
 from zenav.console.table import show_table
@@ -26,10 +27,12 @@ def stability(path: Path, as_json: bool) -> int:
 
 
 def read_ride(path: Path) -> Ride:
-    """The ride in a recording. Raises UserError where the file is none."""
+    """The ride in a recording, without messages that cannot be read. Raises UserError where the file is none."""
     ride = Ride()
     for entry in open_recording(path).entries(KEYS):
         topic = topic_of(entry.key)
-        if topic is not None and not entry.latched:
+        if topic is None or entry.latched:
+            continue
+        with suppress(CodecError):
             ride.add(decode(topic.type, entry.payload)[0])
     return ride

@@ -4,6 +4,7 @@
 import errno
 import fcntl
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from shared.messages import LogLine, MapMode, Odometry, Velocity
 from shared.recording import CONFIG, Drop, Recording, Writer, sink
 from shared.runners.replay import replay
 from shared.types import NS_PER_S
+from tests.replay.record import path_of
 from tests.toys import ROBOT, build, eventful
 from zenav.__main__ import _status
 from zenav.client.map_modes import OnMap
@@ -498,3 +500,22 @@ def test_a_stack_on_a_saved_map_attaches_its_files(tmp_path):
     assert attached == {name: name.encode() for name in ("graph.msgpack", "map.yaml", "map.pgm")} | {
         CONFIG: b"robot: {}\n"
     }
+
+
+@pytest.mark.parametrize("command", ["latency", "stability"])
+def test_a_payload_that_cannot_be_read_costs_its_message_alone(tmp_path, capsys, command):
+    recorded, damaged = path_of("driving"), tmp_path / "damaged.mcap"
+    source = Recording(recorded)
+    added = dict.fromkeys(("scan", "cmd/nav", "cmd/vel", "odom", "nav/status"))
+    with Writer(damaged, source.about, source.attachments) as writer:
+        for entry in source.entries(as_recorded=True):
+            writer.copy(entry)
+            if entry.key in added and added[entry.key] is None:
+                added[entry.key] = replace(entry, payload=b"\xff\x00noise", sequence=10**6)
+                writer.copy(added[entry.key])
+    assert all(added.values())
+    said = []
+    for path in (recorded, damaged):
+        assert _status(["recording", command, str(path), "--json"]) == 0
+        said.append(capsys.readouterr().out)
+    assert said[0] == said[1]
