@@ -88,7 +88,7 @@ def sources(patterns: list[str]) -> list[StoredLog]:
 
 
 def _matching(system: "AbstractFileSystem", path: str) -> Iterator[dict[str, Any]]:
-    if any(sign in path for sign in "*?["):
+    if any(sign in path for sign in "*?[") and not system.exists(path):
         yield from (row for row in system.glob(path, detail=True).values() if row["type"] == "file")
         return
     info = system.info(path)
@@ -168,9 +168,9 @@ class Folder:
         """The content of files, read together; those that are gone are left out. Raises UserError."""
         paths = {f"{self.path}/{name}": name for name in names}
         with errors_of(self.url):
-            found = self.system.cat(list(paths), on_error="return") if paths else {}
+            found = self.system.cat_ranges(list(paths), None, None, on_error="return")  # cat takes [ for a glob
             contents = {}
-            for path, content in found.items():
+            for path, content in zip(paths, found, strict=True):
                 if isinstance(content, bytes):
                     contents[paths[path]] = content
                 elif not isinstance(content, FileNotFoundError):

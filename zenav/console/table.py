@@ -14,7 +14,7 @@ def show_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]
         table.add_column(column, justify="right" if i else "left", overflow="fold")
     for row in rows:
         table.add_row(*row)
-    console = Console()
+    console = Console(markup=False, emoji=False)  # a name like a[b].mcap or :1: stays what it is
     if not console.is_terminal:
         console.width = 160  # a log's lines do not wrap
     console.print(table)

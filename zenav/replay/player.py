@@ -354,10 +354,10 @@ def progress_display(name: str, seconds: float) -> Iterator[Show]:
 
     console = Console(stderr=True)
     columns = (
-        TextColumn(name),
+        TextColumn("{task.fields[name]}", markup=False),
         BarColumn(),
         TextColumn("{task.completed:.1f} of {task.total:.1f} s  {task.description}"),
     )
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
-        task = progress.add_task("", total=seconds)
+        task = progress.add_task("", total=seconds, name=name)
         yield lambda at, text: progress.update(task, completed=min(at, seconds), description=text)

@@ -112,7 +112,7 @@ def print_crash(error: Exception, recording: "Recording", names: list[str], debu
 
     traceback.print_exception(error)
     then, now = {name: crash_in(recording, name) for name in names}, crash_of(error)
-    if now in then.values():
+    if now and now in then.values():
         sys.stderr.write(f"{now}: as recorded, the same exception in the same event\n")
     else:
         for name, line in then.items():

@@ -40,6 +40,7 @@ def doctor(robot: str, stack: str) -> int:
     """Shows every finding; 1 when one is bad."""
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     where = stack_address(stack)
     colours = {OK: "green", WARNING: "yellow", BAD: "bold red"}
@@ -48,10 +49,10 @@ def doctor(robot: str, stack: str) -> int:
         table.add_column(column, overflow="fold")
     worst = OK
     for finding in findings(where, robot):
-        colour = colours[finding.verdict]
-        table.add_row(finding.name, f"[{colour}]{finding.verdict}[/]", finding.found, finding.hint)
+        verdict = Text(finding.verdict, style=colours[finding.verdict])
+        table.add_row(finding.name, verdict, finding.found, finding.hint)
         worst = BAD if BAD in (worst, finding.verdict) else finding.verdict if worst == OK else worst
-    console = Console()
+    console = Console(markup=False, emoji=False)  # a path with [ ] stays what it is
     if not console.is_terminal:
         console.width = 160  # a log's lines do not wrap
     console.print(table)

@@ -17,6 +17,7 @@ from zenav.batch.catalogue import COLUMNS, FOLDER, table_of
 from zenav.batch.catalogue_update import update
 from zenav.batch.finding import query
 from zenav.batch.query import condition
+from zenav.batch.storage import sources
 
 EMPTY = dict.fromkeys(COLUMNS)
 
@@ -146,3 +147,15 @@ def test_a_damaged_file_of_the_catalogue_is_named_and_refresh_replaces_it(tmp_pa
     assert _status(["recording", "find", "", str(tmp_path), "--refresh"]) == 0
     assert not damaged.exists()
     assert _status(["recording", "find", "", str(tmp_path)]) == 0
+
+
+def test_signs_of_globs_in_the_names_of_files_and_folders_are_letters(tmp_path, capsys):
+    folder = tmp_path / "run[1]"
+    folder.mkdir()
+    name = folder / "a[1]{2}[bold].mcap"
+    shutil.copy(path_of("driving"), name)
+    for _ in range(2):
+        assert _status(["recording", "find", "", str(folder)]) == 0
+        assert name.name in capsys.readouterr().out
+    assert [source.url for source in sources([str(name)])] == [f"file://{name}"]
+    assert len(sources([f"{tmp_path}/run*/*.mcap"])) == 1

@@ -13,7 +13,7 @@ from tests.toys import Dead, build, eventful
 from zenav.__main__ import _status
 from zenav.recording.opening import recorded_robot_file
 from zenav.replay.comparison import TopicReport
-from zenav.replay.report import topic_line
+from zenav.replay.report import print_crash, topic_line
 from zenav.replay.reprocess import ReplayReport, replay_file
 
 CHAIN = ["base_driver", "odometry", "mapper", "planner"]
@@ -91,6 +91,13 @@ def test_a_replay_never_overwrites_what_it_is_compared_with(file, tmp_path, caps
     assert _status([*arguments, "--against", str(reference), "--out", str(reference)]) == 2
     assert "is what is compared with" in capsys.readouterr().err
     assert reference.read_bytes() == file.read_bytes()
+
+
+def test_a_crash_outside_of_an_event_is_not_called_recorded(file, capsys):
+    assert print_crash(ValueError("bad"), Recording(file), ["mapper"], False) == 1
+    said = capsys.readouterr().err
+    assert "as recorded" not in said
+    assert "mapper: no crash is recorded" in said
 
 
 def test_a_replay_can_be_replayed(file, tmp_path):
