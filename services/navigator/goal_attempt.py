@@ -68,6 +68,7 @@ class AttemptAction(StrEnum):
 _GOAL_REFUSED = {reasons.GOAL_OUTSIDE.code, reasons.GOAL_BLOCKED.code, reasons.GOAL_UNKNOWN.code}
 _GOAL_FORBIDDEN = {reasons.GOAL_KEEP_OUT.code}
 """Refusals of a goal that no recovery changes."""
+_WAITS = {reasons.RIGHT_OF_WAY, reasons.GIVING_WAY}
 _NOT_READY = {reasons.NO_MAP.code, reasons.POSE_OLD.code, reasons.POSE_LOST.code}
 
 
@@ -82,8 +83,9 @@ class GoalAttempt:
     no_progress_time: float = 0.0  # s without progress
     blocked_for: float = 0.0  # s
     refused_for: float = 0.0  # s
-    held_time: float = 0.0  # s
-    hold_reason: Reason = reasons.NO_PROGRESS  # why it was held
+    waited_for: float = 0.0  # s, for other robots
+    held_for: float = 0.0  # s, for another reason than the path and other robots
+    hold_reason: Reason = reasons.NO_PROGRESS  # why it stood last
     age: float = 0.0  # s
     max_plan_length: float = 0.0  # m, plan
     n_detours: int = 0  # since the last recovery
@@ -93,13 +95,17 @@ class GoalAttempt:
 
     def reset_clocks(self) -> None:
         """Restarts the clocks after a recovery. What is known of the goal stays."""
-        self.no_progress_time = self.blocked_for = self.refused_for = self.held_time = self.gained = 0.0
+        self.no_progress_time = self.blocked_for = self.refused_for = self.gained = 0.0
+        self.waited_for = self.held_for = 0.0
         self.min_left, self.has_progressed, self.n_detours = inf, False, 0
 
     def add_hold_time(self, seconds: float, reason: Reason) -> None:
-        """Counts time in which another reason than the path held the robot."""
-        self.held_time += seconds
+        """Counts time in which another reason than the path held the robot. A wait for robots has its own clock."""
         self.hold_reason = reason
+        if reason in _WAITS:
+            self.waited_for += seconds
+        else:
+            self.held_for += seconds
 
     def update(self, seconds: float, left: float, plan: Path | None, follow: FollowStatus | None, step: float) -> None:
         """Counts driving time.
@@ -107,7 +113,7 @@ class GoalAttempt:
         left: m to the goal. plan, follow: the latest ones for it, if any. step: m that are progress.
         """
         self.age += seconds
-        self.held_time = 0.0
+        self.waited_for = self.held_for = 0.0
         refused_for = plan is not None and bool(plan.reason)
         self.no_progress_time += 0.0 if refused_for else seconds
         self.refused_for = self.refused_for + seconds if refused_for else 0.0
@@ -130,8 +136,7 @@ class GoalAttempt:
         self, plan: Path | None, follow: FollowStatus | None, config: GoalAttemptConfig
     ) -> tuple[AttemptAction, Reason]:
         """The next action and its reason."""
-        waits = self.hold_reason in (reasons.RIGHT_OF_WAY, reasons.GIVING_WAY)
-        if self.held_time > (config.right_of_way_time if waits else config.hold_time):
+        if self.waited_for > config.right_of_way_time or self.held_for > config.hold_time:
             return AttemptAction.FAIL, self.hold_reason
         if self.age > config.base_time + self.max_plan_length / config.min_speed:
             return AttemptAction.FAIL, reasons.NO_PROGRESS

@@ -10,7 +10,7 @@ from services.navigator.goal_attempt import GoalAttemptConfig
 from services.traffic.outgoing import no_other_robot
 from shared import reasons
 from shared.geometry import Pose2
-from shared.messages import FollowState, NavState
+from shared.messages import FollowState, GuardState, NavState
 from shared.requests import Navigate
 from tests.unit.services.navigator.bench import NavigatorBench
 
@@ -53,6 +53,28 @@ def test_a_wait_ends_the_task_after_its_own_time_and_a_blocked_path_still_needs_
     other.go(Pose2(3.0, 0.0))
     wait(other, 6, reasons.BLOCKED)
     assert other.status.n_recoveries > 0
+
+
+def test_a_hold_after_a_long_wait_has_its_own_time():
+    bench = NavigatorBench(NavigatorConfig(leg=GoalAttemptConfig(hold_time=5.0)))
+    bench.go(Pose2(3.0, 0.0))
+    wait(bench, 30, reasons.RIGHT_OF_WAY)
+    bench.guarded(GuardState.HOLD, reasons.SCAN_OLD.code)
+    bench.run(4)
+    assert (bench.status.state, bench.status.reason) == (NavState.NAVIGATING, reasons.SCAN_OLD.code)
+    bench.run(2)
+    assert (bench.status.state, bench.status.reason) == (NavState.FAILED, reasons.SCAN_OLD.code)
+
+
+def test_a_short_hold_does_not_prolong_a_wait():
+    bench = NavigatorBench(NavigatorConfig(leg=GoalAttemptConfig(right_of_way_time=40.0)))
+    bench.go(Pose2(3.0, 0.0))
+    wait(bench, 30, reasons.RIGHT_OF_WAY)
+    bench.guarded(GuardState.HOLD, reasons.SCAN_OLD.code)
+    bench.run(1)
+    bench.guarded(GuardState.ACTIVE)
+    wait(bench, 15, reasons.RIGHT_OF_WAY)
+    assert (bench.status.state, bench.status.reason) == (NavState.FAILED, reasons.RIGHT_OF_WAY.code)
 
 
 def test_a_robot_on_the_way_to_a_refuge_passes_no_pose_of_its_route():
