@@ -31,7 +31,8 @@ class ActionGoal:
 
     error, reason: why it ended, in words and as a code.  amount: rad or m, of a single motion.  poses: of a route, as
     geometry_msgs/PoseStamped; it begins with the one of number `first`.  waypoint: number of the present one.
-    recovery_cause: code of the reason of the last recovery.
+    recovery_cause: code of the reason of the last recovery.  behind_since: ns, since the navigator's task has a lower
+    number.  canceled: ns, when its cancellation was last asked for.
     """
 
     id: bytes
@@ -48,6 +49,8 @@ class ActionGoal:
     first: int = 0
     waypoint: int = 0
     recovery_cause: str = ""
+    behind_since: int | None = None
+    canceled: int = 0
 
     def follow(self, status: NavStatus) -> None:
         """Takes the navigator's status while the goal runs. The status of its end has no waypoint."""

@@ -15,7 +15,7 @@ from services.ros2.action_topics import CANCEL_GOAL, CANCEL_TYPE, GET_RESULT, SE
 from services.ros2.orders import publish_order, reply_order
 from services.ros2.ros_types import UUID, RosTypes
 from services.ros2.task_requests import AskStack
-from shared import requests
+from shared import reasons, requests
 from shared.messages import NavState, NavStatus, PoseEstimate
 from shared.reasons import reason_text
 from shared.requests import Cancel
@@ -27,6 +27,9 @@ from shared.types import NS_PER_S
 KEPT_NS = 600 * NS_PER_S
 """for which a result can be asked for: rcl_action's 10 s are too short for a slow link, Nav2 sets 900 s."""
 MAX_GOALS = 32
+MAX_BEHIND_NS = 2 * NS_PER_S
+"""for which the navigator's task may have a lower number than the goal's: then a new navigator counts from 0."""
+CANCEL_PERIOD_NS = NS_PER_S
 NO_ID = bytes(16)
 
 
@@ -134,21 +137,28 @@ class ActionServer:
             known = any(goal.id == goal_id for goal in own)
             code = CancelCode.NONE if chosen else CancelCode.TERMINATED if known else CancelCode.UNKNOWN_GOAL
         for goal in chosen:
-            goal.state = GoalState.CANCELING
+            goal.state, goal.canceled = GoalState.CANCELING, now
         make = self._make
         infos = [self._info(goal) for goal in chosen]
         response = make.new(f"{CANCEL_TYPE}_Response", return_code=int(code), goals_canceling=infos)
         yield reply_order(now, number, self._types.encode(response))
         if chosen:
             yield self._status_order(action, now)
-            yield self._ask(requests.CANCEL, Cancel(now), lambda outcome: ())
+            yield self._cancel_order(now)
 
     # --- the active goal --------------------------------------------------------------------------------------------
 
     def _follow(self, now: int) -> Out:
         goal, status = self._active, self._status
-        if goal is None or goal.task_id is None or status is None or status.task_id < goal.task_id:
+        if goal is None or goal.task_id is None or status is None:
             return
+        if status.task_id < goal.task_id:
+            goal.behind_since = now if goal.behind_since is None else goal.behind_since
+            if now - goal.behind_since >= MAX_BEHIND_NS:
+                goal.fail(reasons.INTERRUPTED.code)
+                yield from self._end(goal, GoalState.ABORTED, reasons.INTERRUPTED.text, now)
+            return
+        goal.behind_since = None
         if status.task_id > goal.task_id:
             yield from self._end(goal, GoalState.ABORTED, "replaced by another task", now)
         elif status.state is NavState.REACHED:
@@ -165,6 +175,13 @@ class ActionServer:
             part = feedback(self._make, self._types.distro, goal, status, self.estimate, now)
             message = self._make.new(f"{goal.action.type}_FeedbackMessage", goal_id=self._uuid(goal.id), feedback=part)
             yield publish_order(now, goal.action.part("feedback"), self._types.encode(message))
+            if goal.state is GoalState.CANCELING and now - goal.canceled >= CANCEL_PERIOD_NS:
+                goal.canceled = now
+                yield self._cancel_order(now)
+
+    def _cancel_order(self, now: int) -> Publication:
+        """Asks the navigator to cancel its task. Where no answer comes it is asked again while the task goes on."""
+        return self._ask(requests.CANCEL, Cancel(now), lambda outcome: ())
 
     def _end(self, goal: ActionGoal, state: GoalState, error: str, now: int) -> Out:
         goal.state, goal.error, goal.ended = state, error, now
@@ -180,7 +197,7 @@ class ActionServer:
         ended = [goal for goal in self._goals.values() if goal.state in ENDED]
         n_too_many = len(self._goals) - MAX_GOALS + 1
         for i, goal in enumerate(ended):
-            if i < n_too_many or now - goal.begun > KEPT_NS:
+            if i < n_too_many or now - goal.ended > KEPT_NS:
                 del self._goals[goal.id]
 
     # --- messages ---------------------------------------------------------------------------------------------------

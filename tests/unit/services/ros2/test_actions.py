@@ -118,6 +118,17 @@ def test_a_canceled_goal_ends_when_the_navigator_stands():
     assert states(core, core.status(NavState.CANCELED)) == [GoalState.CANCELED]
 
 
+def test_a_cancel_without_an_answer_is_repeated_each_second_while_the_task_goes_on():
+    core = Core()
+    sent(core)
+    *_, ask = core.cancel(TO_POSE, 5, GOAL)
+    core.outcome(ask, accepted=False)
+    orders = [order for _ in range(25) for order in core.status(NavState.NAVIGATING) if "ask" in order]
+    assert [type(core.asked(order)) for order in orders] == [Cancel, Cancel]
+    assert states(core, core.status(NavState.CANCELED)) == [GoalState.CANCELED]
+    assert [order for _ in range(25) for order in core.status(NavState.CANCELED)] == []
+
+
 def test_a_cancel_without_an_id_is_for_all_goals():
     core = Core()
     sent(core)
@@ -150,6 +161,28 @@ def test_the_status_of_an_earlier_task_is_not_the_goals():
     assert core.status(NavState.REACHED, task_id=6) == []
 
 
+def test_a_navigator_that_counts_from_0_again_ends_the_goal_as_interrupted():
+    core = Core()
+    sent(core)
+    core.get_result(TO_POSE, TYPE, 11)
+    core.status(NavState.NAVIGATING)
+    orders = [order for _ in range(25) for order in core.status(NavState.IDLE, task_id=0)]
+    result, status = orders
+    assert states(core, [status]) == [GoalState.ABORTED]
+    response = core.response(result, f"{TYPE}_GetResult")
+    assert response.result.error_msg == reason_text("interrupted")
+    assert core.status(NavState.REACHED) == []  # another user's seventh task
+
+
+def test_a_short_time_with_an_earlier_task_does_not_end_the_goal():
+    core = Core()
+    sent(core)
+    for _ in range(3):
+        assert [order for _ in range(15) for order in core.status(NavState.IDLE, task_id=0)] == []
+        core.status(NavState.NAVIGATING)
+    assert states(core, core.status(NavState.REACHED)) == [GoalState.SUCCEEDED]
+
+
 def test_a_task_of_another_user_ends_the_goal():
     core = Core()
     sent(core)
@@ -171,6 +204,14 @@ def test_old_results_are_forgotten():
     assert len(states(core, orders)) == MAX_GOALS
     core.service.now += KEPT_NS
     assert len(states(core, sent(core, 99, bytes([99] * 16), task_id=99))) == 1
+
+
+def test_the_result_of_a_long_task_is_kept_from_its_end_on():
+    core = Core()
+    sent(core)
+    core.service.now += 2 * KEPT_NS
+    core.status(NavState.REACHED)
+    assert states(core, sent(core, 2, OTHER, task_id=8)) == [GoalState.SUCCEEDED, GoalState.EXECUTING]
 
 
 def follow_waypoints(core: Core, n_poses: int = 3, **fields: Any) -> list[Any]:
