@@ -16,6 +16,7 @@ from shared.reasons import REASONS, Reason
 
 DEFAULT_S = 30.0  # that a motion may take
 MAX_BLOCKED_S = 1.0  # after which it fails
+MAX_GROWTH = 0.2  # rad or m that may be left more than before: local control that was restarted begins it again
 Ending = tuple[NavState, Reason | None]
 
 
@@ -34,6 +35,8 @@ class SingleMotion:
         """How it ends after further `seconds`, or None while it goes on. order: the one that was published for it."""
         follow = statuses.follow_for(order, now) if order is not None else None
         if follow is not None and follow.distance_left:
+            if follow.distance_left > self.left + MAX_GROWTH:
+                return NavState.FAILED, reasons.INTERRUPTED
             self.left = follow.distance_left
         if follow is not None and follow.state is FollowState.ARRIVED:
             return NavState.REACHED, None

@@ -83,7 +83,7 @@ export const REASON_TEXTS: Readonly<Record<string, ReasonText>> = {
   no_frontier: { de: ["Nichts Erreichbares ist mehr unbekannt", "Nichts zu tun: die Karte ist fertig."] },
   canceled: { de: ["Die Aufgabe wurde abgebrochen", "Setze ein neues Ziel."] },
   other_map: { de: ["Die Karte wurde gewechselt", "Setze ein neues Ziel."] },
-  interrupted: { de: ["Der Navigator wurde neu gestartet", "Gib die Aufgabe noch einmal."] },
+  interrupted: { de: ["Die Aufgabe wurde unterbrochen, etwa durch einen Neustart", "Gib die Aufgabe noch einmal."] },
   paused: { de: ["Die Aufgabe ist pausiert", "Mit Fortsetzen geht sie weiter."], hint: "It goes on with Resume." },
   by_hand: { de: ["Der Roboter wird von Hand gefahren", "Lass los, dann fährt er weiter."] },
   dwelling: { de: ["Der Roboter bleibt an einem Wegpunkt", "Nichts zu tun: er fährt von selbst weiter."] },
