@@ -2,6 +2,7 @@
 """Settings of the ROS 2 bridge."""
 
 import re
+from dataclasses import replace
 from typing import Literal
 
 from pydantic import Field, field_validator
@@ -84,6 +85,12 @@ class Ros2Config(Section):
     def ros_frames(self) -> RosFrames:
         """The names of the frames."""
         return RosFrames(self.frames.map, self.frames.odom, self.frames.base, self.frames.laser)
+
+    @property
+    def stack_frames(self) -> RosFrames:
+        """The names in the stack's own messages: a robot that is driven has its own `odom`, which differs."""
+        frames = self.ros_frames
+        return replace(frames, odom=f"zenav_{frames.odom}") if self.drives else frames
 
     def name(self, name: str) -> str:
         """The name in ROS of one of our topics, services and actions: remapped, below the namespace."""

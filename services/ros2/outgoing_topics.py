@@ -24,6 +24,7 @@ LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 LOG_QOS = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1000)  # rcl's of /rosout
 TF_QOS = Qos(depth=100)  # tf2_ros' DynamicBroadcasterQoS
 CLOCK_QOS = Qos(Reliability.BEST_EFFORT, depth=1)  # rclcpp's ClockQoS
+MAX_ROBOT_POSES = 50  # of which one is the stack's odometry's, which comes a little later
 MAP_NAME, PLACES_NAME = "/map", "/places"
 WatchRequest = Request[Watch, Reply]
 WATCHED: dict[str, WatchRequest] = {
@@ -38,13 +39,16 @@ WATCHED: dict[str, WatchRequest] = {
 class OutgoingState:
     """What the messages of ROS need of earlier ones of the stack. map_interval: ns between two whole maps.
 
-    has_own_odometry: the robot publishes `odom -> base_link` itself.
+    robot_odom: the frame of a robot that publishes `odom -> base_link` itself; empty for others. That of `make` is the
+    stack's then, and has another name.
     """
 
-    def __init__(self, make: RosMessages, map_interval: int, has_own_odometry: bool = False) -> None:
-        self.make, self.has_own_odometry = make, has_own_odometry
+    def __init__(self, make: RosMessages, map_interval: int, robot_odom: str = "") -> None:
+        self.make, self.robot_odom = make, robot_odom
         self.map = OutgoingMap(make, map_interval)
         self.map_from_odom: Pose2 | None = None
+        self.odometry: m.Odometry | None = None  # the newest
+        self.robot_poses: dict[int, Pose2] = {}  # the newest ones of the base in `robot_odom`, by stamp, ns
         self.map_name: str | None = None  # of the saved map in use; empty: it is not saved; None: not known yet
 
 
@@ -63,17 +67,45 @@ class OutgoingTopic:
     make: Make
 
 
-def _transforms(state: OutgoingState, message: m.Odometry | m.PoseEstimate, _: str) -> Any:
-    """Both transforms at the rate and with the stamp of odometry: tf2 then finds `map` at any time of `odom`."""
+def _transforms(state: OutgoingState, message: m.Odometry | m.PoseEstimate | m.BaseOdometry, _: str) -> Any:
+    """All moving transforms at the rate and with the stamp of odometry: tf2 finds `map` at any time of `odom`."""
     make, frames = state.make, state.make.frames
     if isinstance(message, m.PoseEstimate):
         state.map_from_odom = message.map_from_odom
         return None
-    own = make.transform(message.stamp, frames.odom, frames.base, message.odom_from_base)
-    stamped = [] if state.has_own_odometry else [own]
+    if state.robot_odom:
+        return _transforms_beside_robot(state, message)
+    if isinstance(message, m.BaseOdometry):
+        return None
+    stamped = [make.transform(message.stamp, frames.odom, frames.base, message.odom_from_base)]
     if state.map_from_odom is not None:
         stamped.insert(0, make.transform(message.stamp, frames.map, frames.odom, state.map_from_odom))
-    return make.transforms(*stamped) if stamped else None
+    return make.transforms(*stamped)
+
+
+def _transforms_beside_robot(state: OutgoingState, message: m.Odometry | m.BaseOdometry) -> Any:
+    """From `map` to the robot's own `odom` and to the stack's, where both have a pose of the same stamp.
+
+    They differ: the stack's has a scale and the gyro's heading, and goes on where the robot's counts from 0 again.
+    """
+    if isinstance(message, m.BaseOdometry):
+        state.robot_poses[message.stamp] = message.odom_from_base
+        if len(state.robot_poses) > MAX_ROBOT_POSES:
+            del state.robot_poses[next(iter(state.robot_poses))]
+    else:
+        state.odometry = message
+    odometry, map_from_odom = state.odometry, state.map_from_odom
+    if odometry is None or map_from_odom is None:
+        return None
+    robot_pose = state.robot_poses.get(odometry.stamp)
+    if robot_pose is None or message.stamp != odometry.stamp:
+        return None
+    make, stamp = state.make, odometry.stamp
+    map_from_robot_odom = map_from_odom @ odometry.odom_from_base @ robot_pose.inverse()
+    return make.transforms(
+        make.transform(stamp, make.frames.map, state.robot_odom, map_from_robot_odom),
+        make.transform(stamp, make.frames.map, make.frames.odom, map_from_odom),
+    )
 
 
 def _whole_map(state: OutgoingState, update: m.MapUpdate, _: str) -> Any:
@@ -103,7 +135,7 @@ OUTGOING = (
     OutgoingTopic("/scan", SCAN, SENSOR, (topics.SCAN,), _simply(RosMessages.scan)),
     OutgoingTopic("/scan_2", SCAN, SENSOR, (topics.SCAN_2,), lambda state, scan, _: state.make.scan(scan, 1)),
     OutgoingTopic("/odom", ODOM, DEFAULT, (topics.ODOM,), _simply(RosMessages.odometry)),
-    OutgoingTopic("/tf", TF, TF_QOS, (topics.POSE, topics.ODOM), _transforms),
+    OutgoingTopic("/tf", TF, TF_QOS, (topics.POSE, topics.ODOM, topics.BASE_MOTION), _transforms),
     OutgoingTopic("/map", GRID, LATCHED, (topics.MAP,), _whole_map),
     OutgoingTopic("/map_updates", GRID_UPDATE, DEFAULT, (topics.MAP,), _map_change),
     OutgoingTopic("/amcl_pose", POSE_COVARIANCE, LATCHED, (topics.POSE,), _simply(RosMessages.pose_estimate)),

@@ -55,8 +55,9 @@ class StackFeed:
     ) -> None:
         self._robot, self._where, self._publish, self._on_teleop = robot, where, publish, on_teleop
         self._types = ros_types(config.distro)
-        make = RosMessages(self._types.types, config.ros_frames)
-        self._state = OutgoingState(make, round(config.map_interval * NS_PER_S), config.drives)
+        make = RosMessages(self._types.types, config.stack_frames)
+        robot_odom = config.ros_frames.odom if config.drives else ""
+        self._state = OutgoingState(make, round(config.map_interval * NS_PER_S), robot_odom)
         self._wanted: frozenset[str] = frozenset()
         self._served: frozenset[str] = frozenset()
         self._client: Client | None = None

@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages of the stack as ROS 2 sees them: every row converts, encodes, and comes back the same."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from services.ros2.config import Ros2Config
 from services.ros2.outgoing_markers import MARKERS, Place, place_markers
 from services.ros2.outgoing_topics import OUTGOING, OutgoingState, converted, keys_of
 from services.ros2.ros_types import Distro, ros_types
@@ -11,7 +14,14 @@ from shared import messages as m
 from shared import sample_messages, topics
 from shared.config import load_robot
 from shared.geometry import Pose2
-from shared.ros_messages import RosFrames, RosMessages, pose2
+from shared.ros_messages import RosFrames, RosMessages, pose2, pose_of_transform
+
+
+def base_odometry(stamp: int, pose: Pose2) -> m.BaseOdometry:
+    """The odometry of a robot's base."""
+    zeros = np.zeros(9)
+    return m.BaseOdometry(stamp, 1, True, pose, False, 0.0, 0.0, 0.0, zeros, zeros, float("nan"))
+
 
 ROBOT = load_robot("x80sv").robot
 STAMP = 1_700_000_000_123_456_789
@@ -21,6 +31,7 @@ FRAMES = RosFrames()
 SAMPLES = {
     "scan": sample_messages.scan(STAMP, ROBOT.laser),
     "scan_2": sample_messages.scan(STAMP, ROBOT.laser),
+    "hardware/odometry": base_odometry(STAMP, Pose2(1, 2, 3)),
     "odom": sample_messages.odometry(STAMP, Pose2(1, 2, 3), 0.4),
     "pose": sample_messages.pose_estimate(STAMP, Pose2(1, 2, 3)),
     "plan": m.Path(STAMP, 1, 1, "", XS, XS, XS, 3.0, 3.0),
@@ -58,7 +69,7 @@ def rows_with_sources():
 def test_a_message_comes_back_the_same_from_cdr(distro, row, topic):
     types = ros_types(distro)
     made = list(converted(state(distro), frozenset((row.name,)), topic, SAMPLES[topic.key], "mapper"))
-    if (row.name, topic) in (("/tf", topics.POSE), ("/places", topics.MAP_STATE)):
+    if (row.name, topic) in (("/tf", topics.POSE), ("/tf", topics.BASE_MOTION), ("/places", topics.MAP_STATE)):
         assert made == []  # it is sent with odometry, and with the places that are read
         return
     [(name, message)] = made
@@ -82,6 +93,34 @@ def test_a_stamp_is_seconds_and_nanoseconds_and_the_frames_are_the_configuration
     back = pose2(odometry.pose.pose)
     assert back.distance(Pose2(1, 2, 3)) < 1e-9
     assert odometry.twist.twist.linear.x == 0.4
+
+
+@pytest.mark.parametrize("robot_first", [True, False])
+def test_a_robot_with_its_own_odom_is_where_the_stack_says(robot_first):
+    """Its base was restarted and counts from 0, so the frames differ. A later message of one source has no partner."""
+    config = Ros2Config(drives=True)
+    make = RosMessages(ros_types(config.distro).types, config.stack_frames)
+    both = OutgoingState(make, 1_000_000_000, config.ros_frames.odom)
+    by_stack, by_robot, map_from_odom = Pose2(5, 1, 0.3), Pose2(0.2, 0.1, -0.4), Pose2(1, 2, 0.5)
+    messages = [
+        (topics.BASE_MOTION, base_odometry(STAMP, by_robot)),
+        (topics.ODOM, sample_messages.odometry(STAMP, by_stack, 0.4)),
+    ]
+    late = (topics.BASE_MOTION, base_odometry(STAMP + 1, Pose2()))
+    estimate = replace(sample_messages.pose_estimate(STAMP, Pose2()), map_from_odom=map_from_odom)
+    rows = [*messages[:1], late, *messages[1:]] if robot_first else [*messages[::-1], late]
+    found = [
+        made
+        for topic, message in [(topics.POSE, estimate), *rows]
+        for _, made in converted(both, frozenset(("/tf",)), topic, message, "")
+    ]
+    [tf] = found
+    frames = {(row.header.frame_id, row.child_frame_id): pose_of_transform(row.transform) for row in tf.transforms}
+    assert frames.keys() == {("map", "odom"), ("map", "zenav_odom")}
+    truth = map_from_odom @ by_stack
+    for frame, pose in (("odom", by_robot), ("zenav_odom", by_stack)):
+        there = frames["map", frame] @ pose
+        assert (there.x, there.y, there.yaw) == pytest.approx((truth.x, truth.y, truth.yaw))
 
 
 def test_the_local_costmap_is_in_odom_and_the_global_one_in_the_map():
@@ -139,5 +178,5 @@ def test_a_place_has_its_name_and_its_heading_where_it_has_one(distro):
 
 def test_only_the_keys_of_the_wanted_topics_are_listened_to():
     assert keys_of(frozenset()) == frozenset()
-    assert keys_of(frozenset(("/scan", "/tf"))) == {"scan", "odom", "pose"}
+    assert keys_of(frozenset(("/scan", "/tf"))) == {"scan", "odom", "pose", "hardware/odometry"}
     assert "log/mapper" in keys_of(frozenset(("/rosout",)))
