@@ -9,10 +9,12 @@ from pydantic import Field
 from services.navigator.frontiers import Frontier, FrontierConfig, Frontiers, Snapshot, find_frontiers
 from services.navigator.shared_exploration import SharedExploration, SharingConfig
 from services.navigator.tour import tours
+from shared import reasons
 from shared.config import Section
 from shared.geometry import Pose2, wrapped
 from shared.grid import OccupancyGrid
 from shared.messages import TILE_CELLS
+from shared.reasons import Reason
 from shared.types import Float64s, Int8s, Int64s
 
 Cell = tuple[int, int]
@@ -73,6 +75,16 @@ class Exploration:
         self._failed: set[Cell] = set()
         self._visits: dict[Cell, int] = {}
         self._last_try = False
+        self._n_missed = 0  # frontiers that failed in the last try, too
+        self._last_cause: Reason = reasons.NO_PROGRESS  # why the last one failed
+
+    @property
+    def missed_text(self) -> str:
+        """How many frontiers could not be reached, and why the last one; empty where all could."""
+        if not self._n_missed:
+            return ""
+        frontiers = "1 frontier" if self._n_missed == 1 else f"{self._n_missed} frontiers"
+        return f"{frontiers} could not be reached; the last cause: {self._last_cause.text}"
 
     @property
     def dropped(self) -> Int64s:
@@ -151,9 +163,10 @@ class Exploration:
         self._end_help()
         self.looking = min(self._near, self.config.look_time / 2)
 
-    def failed(self, resolution: float) -> None:
-        """Drops the target as unreachable. It is tried once more when no other frontier is left."""
+    def failed(self, resolution: float, reason: Reason) -> None:
+        """Drops the target as unreachable for a reason. It is tried once more when no other frontier is left."""
         if self.target is not None:
+            self._n_missed, self._last_cause = self._n_missed + self._last_try, reason
             into = self._given_up if self._last_try else self._failed
             self._give_up(self.target.frontier, self.target, resolution, into)
         self._forget()

@@ -275,7 +275,7 @@ class Navigation:
     def _give_up(self, reason: Reason, now: int, whole: bool) -> Out:
         """Ends the attempt as hopeless. whole: the task as well, although it explores and other frontiers may exist."""
         if isinstance(self.task, Exploration) and not whole:
-            self.task.failed(self.grid.resolution)
+            self.task.failed(self.grid.resolution, reason)
             self.task.without = 0.0
             self.attempt, self.recovery = None, ""
             yield self._standstill(now)
@@ -384,7 +384,7 @@ class Navigation:
             cause = f"{reasons.RECOVERIES_USED.text}; the last cause: {self.recoveries.last.text}"
             yield from self.end(now, NavState.FAILED, reasons.RECOVERIES_USED, cause)
         else:
-            yield from self.end(now, NavState.REACHED, reasons.NO_FRONTIER)
+            yield from self.end(now, NavState.REACHED, reasons.NO_FRONTIER, exploration.missed_text)
 
 
 def search(task_id: int, map_id: int, snapshot: Snapshot, config: FrontierConfig) -> tuple[int, int, Frontiers]:

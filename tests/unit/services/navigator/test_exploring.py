@@ -121,6 +121,7 @@ def test_it_explores_a_whole_office_and_says_that_nothing_is_left():
     robot.explore()
     robot.run(300, until=ENDS)
     assert (robot.status.state, robot.status.reason) == (NavState.REACHED, reasons.NO_FRONTIER.code)
+    assert "could not be reached" not in robot.status.detail
     assert robot.covered > 0.99
     assert robot.moved < 90  # m; the building is 14 x 7 m
     assert not robot.goal.active
@@ -161,6 +162,18 @@ def test_frontiers_that_cannot_be_reached_are_tried_once_more_and_then_left():
     places = [(g.map_from_goal.x, g.map_from_goal.y) for g in robot.goals if g.active]
     assert len(places) < 30
     assert any(places.count(place) > 1 for place in places)
+
+
+def test_the_end_of_a_robot_that_got_stuck_says_what_it_could_not_reach():
+    robot = Explorer(OFFICE, 1.2, 3.3)
+    robot.explore()
+    robot.run(12)
+    robot.follow_state, robot.follow_reason = FollowState.BLOCKED, reasons.BLOCKED.code
+    robot.run(600, until=ENDS)
+    assert (robot.status.state, robot.status.reason) == (NavState.REACHED, reasons.NO_FRONTIER.code)
+    n_missed = int(robot.status.detail.split()[0])
+    assert n_missed > 0
+    assert robot.status.detail.endswith(f"could not be reached; the last cause: {reasons.BLOCKED.text}")
 
 
 def test_a_robot_that_cannot_move_at_all_fails():
