@@ -18,6 +18,9 @@ SavedMap = Annotated[
 @map_.command(cls=Command)
 def save(
     place: Annotated[str, typer.Argument(help="Name below maps/, or a folder.")],
+    force: Annotated[
+        bool, typer.Option("--force", help="Overwrite another map of that name, and delete its places and zones.")
+    ] = False,
     robot: RobotName = "x80sv",
     stack: Stack = "0",
 ) -> None:
@@ -27,7 +30,7 @@ def save(
     """
     from zenav.client.map_modes import save_map
 
-    save_map(robot, stack, place)
+    save_map(robot, stack, place, force)
 
 
 @map_.command(cls=Command)

@@ -10,7 +10,7 @@ from threading import Event
 from services.mapper.config import MapperConfig
 from services.mapper.maps.map_file import pack_map, unpack_map
 from shared import requests, topics
-from shared.config import RobotFile, load_robot
+from shared.config import RobotFile, UserError, load_robot
 from shared.geometry import Pose2, wrapped
 from shared.messages import Localization, MapMode, PoseEstimate
 from shared.reasons import NO_GRAPH, POSE_OLD
@@ -20,7 +20,8 @@ from zenav.client import Client
 from zenav.client.map_transfer import fetch_map, give_map, start_mode
 from zenav.client.map_view import current_map, pose_text
 from zenav.client.navigation_client import RequestRefusedError, accepted
-from zenav.client.zones import RUNS, follow_map, zones_in
+from zenav.client.places import PLACES
+from zenav.client.zones import RUNS, ZONES, follow_map, zones_in
 from zenav.maps.atomic_folder import replace_together
 from zenav.maps.foreign_map import is_picture, read_map
 from zenav.maps.map_files import MAPS_FOLDER, find_map, folder_for, picture_files
@@ -71,11 +72,18 @@ class OnMap:
         follow_map(client, self.folder)
 
 
-def save_map(robot: str, stack: str, place: str) -> None:
-    """Writes the present map into a folder: see saved_map.py; without a pose graph, where the mapper keeps none."""
+def save_map(robot: str, stack: str, place: str, force: bool = False) -> None:
+    """Writes the present map into a folder: see saved_map.py; without a pose graph, where the mapper keeps none.
+
+    Another map of that name is overwritten only with `force`: its places and zones go too. Raises UserError.
+    """
     folder = folder_for(place)
     summary = ""
     with _client(robot, stack) as client:
+        overwrites = _has_another_map(client, folder)
+        if overwrites and not force:
+            hint = f"choose another name, or overwrite it with its places and zones: zenav map save {place} --force"
+            raise UserError(f"there is another map in {folder}", hint)
         try:
             saved = unpack_map(fetch_map(client, Event().wait), "the mapper's map")
             files, summary = map_files(saved, saved.graph.poses), f" ({len(saved.keyframes)} keyframes)"
@@ -85,9 +93,20 @@ def save_map(robot: str, stack: str, place: str) -> None:
             sys.stderr.write(f"{refused.what}: only its picture is saved\nhint: {refused.hint}\n")
             files = picture_files(current_map(client))
         replace_together(folder, files)
+        if overwrites:
+            PLACES.replace(folder, {})
+            ZONES.replace(folder, {})
         if name_of(folder):
             name_map(client, name_of(folder))
     sys.stdout.write(f"{folder / 'map.yaml'}{summary}\n")
+
+
+def _has_another_map(client: Client, folder: Path) -> bool:
+    """Whether a folder below maps/ has a map that is not the present one. Maps elsewhere have no name."""
+    if not name_of(folder) or not (folder / "map.yaml").exists():
+        return False
+    state = client.latched_value(topics.MAP_STATE)
+    return state is None or state.name != name_of(folder)
 
 
 def name_of(folder: Path) -> str:
