@@ -30,13 +30,12 @@ def redundant_keyframe(
     driven: (n,) path length up to each node, m.
     place_size: m in x and y, and rad in yaw, within which keyframes count as one place.
     min_path: path length after which a keyframe is of an earlier visit, m.
-    first: first row that counts.  protected: names of nodes that stay, as the first node does.
+    first: first row that counts.  protected: names of nodes that stay, as fixed nodes do.
     """
     poses, nodes, path = graph.poses, graph.nodes, np.array(driven)
     here = (np.abs(poses[:, :2] - poses[-1, :2]) < place_size).all(axis=1)
     here &= np.abs(wrapped_all(poses[:, 2] - poses[-1, 2])) < place_size
     here[:first] = False
     is_earlier = (path[-1] - path > min_path) | (nodes[-1] - nodes > MAX_VISIT_CROWDS * max_keyframes)
-    rows = np.flatnonzero(here & is_earlier & ~np.isin(nodes, protected))
-    rows = rows[rows > 0]  # the first node defines the frame `map`
+    rows = np.flatnonzero(here & is_earlier & ~graph.fixed & ~np.isin(nodes, protected))
     return int(rows[0]) if len(rows) >= max_keyframes else None

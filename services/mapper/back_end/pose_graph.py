@@ -115,9 +115,8 @@ class _Columns:
     def append(self, **row: Any) -> None:
         for name, array in self.arrays.items():
             if self.n == len(array):
-                array = self.arrays[name] = np.concatenate(
-                    (array, np.zeros((max(64, len(array)), *array.shape[1:]), array.dtype))
-                )
+                room = np.zeros((max(64, len(array)), *array.shape[1:]), array.dtype)
+                array = self.arrays[name] = np.concatenate((array, room))
             array[self.n] = row[name]
         self.n += 1
 
@@ -170,6 +169,11 @@ class PoseGraph:
         return _read_only(self._nodes["pose"])
 
     @property
+    def fixed(self) -> Bools:
+        """(n,) which nodes never move, in the order of `nodes`. A read-only view, valid until the next change."""
+        return _read_only(self._nodes["fixed"])
+
+    @property
     def n_edges(self) -> int:
         """Number of edges, also of rejected ones."""
         return self._edges.n
@@ -184,10 +188,8 @@ class PoseGraph:
 
     def add_node(self, map_from_base: Pose2, fixed: bool = False) -> int:
         """Adds a node at a pose, and returns its name. The first node is always fixed."""
-        name = self._next_node
-        self._nodes.append(
-            node=name, pose=(map_from_base.x, map_from_base.y, map_from_base.yaw), fixed=fixed or self._nodes.n == 0
-        )
+        name, pose = self._next_node, (map_from_base.x, map_from_base.y, map_from_base.yaw)
+        self._nodes.append(node=name, pose=pose, fixed=fixed or self._nodes.n == 0)
         self._next_node += 1
         return name
 
@@ -247,9 +249,7 @@ class PoseGraph:
         touching = (i == node) | (j == node)
         spokes = [_Spoke.of(self._edges, int(k), node) for k in np.flatnonzero(touching & on)]
         self._edges.keep(~touching)
-        others = np.ones(self._nodes.n, np.bool_)
-        others[row] = False
-        self._nodes.keep(others)
+        self._nodes.keep(np.arange(self._nodes.n) != row)
         hubs = []
         for loop in (False, True):
             kin = sorted((s for s in spokes if s.loop is loop), key=lambda s: (s.determinant, s.node))
@@ -340,8 +340,7 @@ def edge_chi2(graph: Graph, poses: Float64s) -> Float64s:
     """Returns the squared Mahalanobis distance (m,) of each edge's residual at poses (n, 3) in `map`."""
     i, j = graph.rows()
     residual = relative_poses(graph.relative, relative_poses(poses[i], poses[j]))
-    chi2: Float64s = np.einsum("ka,kab,kb->k", residual, graph.information, residual)
-    return chi2
+    return np.asarray(np.einsum("ka,kab,kb->k", residual, graph.information, residual))
 
 
 def compose(a_from_b: Float64s, b_from_c: Float64s) -> Float64s:
