@@ -8,12 +8,12 @@ from services.mapper.front_end.front_end import FrontEnd
 from services.mapper.front_end.scan_queue import ScanQueue, SyncedScan
 from services.mapper.grid.map_drawing import Drawing
 from services.mapper.localization.global_localization import GlobalLocalizer
-from services.mapper.localization.grid_keyframes import add_virtual_keyframes
+from services.mapper.localization.grid_keyframes import order_virtual_keyframes
 from services.mapper.localization.kidnap_detection import KidnapDetector
 from services.mapper.maps.map_editing import MapEditing
 from services.mapper.maps.map_file import SavedMap
 from services.mapper.maps.map_transfer import MapDownload, MapUpload, tiles_problem
-from services.mapper.maps.resume import PreviousRun, graph_checkpoint, resume_from_upload
+from services.mapper.maps.resume import PreviousRun, graph_checkpoint, resume_from_upload, resume_search
 from services.mapper.slam import Slam
 from services.mapper.warm_up import warm_up
 from shared import requests, topics
@@ -22,7 +22,7 @@ from shared.geometry import Pose2
 from shared.messages import LaserScan, MapEdit, MapMode, MapState, MapUpdate, Odometry, OtherRobots, PoseEstimate
 from shared.reasons import BAD_REQUEST, BUSY, MAP_REFUSED
 from shared.requests import EditMap, FetchMap, GiveMap, LoadMap, MapPart, NameMap, Reply, StartMap, Watch
-from shared.service import Answer, Checkpoint, Job, Log, Out, Service, answer, every, on
+from shared.service import Answer, Checkpoint, Log, Out, Service, answer, every, on
 from shared.settings import Configuration
 
 
@@ -239,8 +239,7 @@ class MapperService(Service):
         self.slam.name = name
         self.scan_queue.reset()
         yield from self.slam.changed_tiles(self.now)
-        if tiles.resolution == self.config.occupancy.resolution:
-            yield Job(add_virtual_keyframes, (self.slam.grid.map_id, tiles), "on_virtual_keyframes", 1.0)
+        yield from order_virtual_keyframes(self.slam.grid, tiles)
         return Reply(self.now, True, "", f"{len(tiles.rows)} tiles")
 
     def _resume(self) -> Out:
@@ -248,3 +247,4 @@ class MapperService(Service):
         if self.previous_run.apply_to(self.slam):
             self.scan_queue.restart()
             yield Log("INFO", f"going on with the map from before the restart: {len(self.slam.grid.tile_index)} tiles")
+            yield from resume_search(self.slam)

@@ -18,7 +18,7 @@ from services.mapper.back_end.constraint_search import FoundConstraints
 from services.mapper.back_end.keyframe import Keyframe
 from services.mapper.back_end.local_map import LocalMap
 from services.mapper.back_end.map_jobs import MapJobs
-from services.mapper.back_end.map_parts import MIN_FIT, MIN_KEYFRAMES, OdometryGap, fits_grid, gap_information
+from services.mapper.back_end.map_parts import MIN_FIT, MIN_KEYFRAMES, OdometryGap, certainty_in_part, fits_grid
 from services.mapper.back_end.pose_graph import OptimizationResult, rotate_matrix
 from services.mapper.config import MapperConfig
 from services.mapper.front_end.front_end import FrontEnd
@@ -35,7 +35,6 @@ from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
 from shared.messages import Localization, MapEdit, MapMode, MapUpdate, PoseEstimate
 from shared.service import Log, Out
-from shared.types import Float64s
 
 UNKNOWN_POSE_COVARIANCE = np.diag((1e6, 1e6, 10.0))
 """Covariance (m^2, rad^2) of a robot that is not localized yet."""
@@ -201,7 +200,8 @@ class Slam:
         if not self.is_localized:
             covariance, state = UNKNOWN_POSE_COVARIANCE, Localization.LOST
         elif self.is_in_part:
-            covariance, state = self._certainty_in_part(covariance, state)
+            gap, n = back_end.gap or back_end.part_gap, back_end.n_in_part
+            covariance, state = certainty_in_part(gap, n, self.part_fit, covariance, state)
         elif back_end.is_fixed and back_end.path_since_closure > self.max_path_without_closure:
             state = Localization.POOR if state is Localization.GOOD else state
         return PoseEstimate(
@@ -213,14 +213,6 @@ class Slam:
             state=state,
             mode=self.mode,
         )
-
-    def _certainty_in_part(self, covariance: Float64s, state: Localization) -> tuple[Float64s, Localization]:
-        """Returns covariance and state in a part that only odometry joins to the rest of the map."""
-        gap = self.back_end.gap or self.back_end.part_gap
-        covariance = covariance + np.linalg.inv(gap_information(gap.path, gap.turn))
-        fits = self.back_end.n_in_part >= MIN_KEYFRAMES and self.part_fit >= MIN_FIT
-        is_lost = state is Localization.LOST or not fits
-        return covariance, Localization.LOST if is_lost else Localization.POOR
 
     def changed_tiles(self, now: int) -> Out:
         """Publishes the tiles that changed.  now: ns."""
@@ -319,16 +311,21 @@ class Slam:
         return ()
 
     def add_graph(self, saved: SavedMap) -> bool:
-        """Gives a map of tiles its graph and keyframes; the robot keeps its pose. Returns False if it has a graph."""
+        """Gives a map of tiles its graph and keyframes. The robot keeps its pose, or is searched where it is lost.
+
+        Returns False if it has a graph.
+        """
         if self.front_end.from_keyframes:
             return False
         self.jobs.reset()
-        saved = replace(saved, edits=self.edits.edits)
+        saved, is_lost = replace(saved, edits=self.edits.edits), self.localizer.is_searching
         self._load_back_end(saved)
         self.known_map_from_local = self.back_end.map_from_local  # `local` is the map's frame
         self.front_end.from_keyframes = True
-        self.localizer.load(saved if not self.changes_map else None)
+        self.localizer.load(saved if is_lost or not self.changes_map else None)
         self.localizer.is_searching = False
+        if is_lost:
+            self._search_whole_map()
         return True
 
     def on_localized(self, result: tuple[int, list[PoseHypothesis], float]) -> Out:
@@ -390,8 +387,11 @@ class Slam:
         """Searches the robot on the whole map, as it is lost."""
         if self.localizer.surface is None:
             self.localizer.load(self.snapshot())
+        self._search_whole_map()
+        yield Log("WARNING", "lost: looking for the robot on the whole map")
+
+    def _search_whole_map(self) -> None:
         self.front_end.start(self.front_end.local_from_base)
         self.back_end.start_unlocalized()
         self.known_map_from_local = None
         self.localizer.start()
-        yield Log("WARNING", "lost: looking for the robot on the whole map")

@@ -18,6 +18,7 @@ from services.mapper.back_end.solver.optimize import connected_components
 from services.mapper.grid.occupancy import Occupancy
 from services.mapper.localization.kidnap_detection import map_agreement
 from shared.geometry import Pose2, wrapped
+from shared.messages import Localization
 from shared.types import Bools, Float64s
 
 MAX_SAME_PLACE_M, MAX_SAME_PLACE_RAD = 0.3, 0.1  # difference of two closures that put the robot at one place
@@ -54,6 +55,18 @@ def gap_information(path: float, turn: float) -> Float64s:
     """Returns the information (3, 3) of (x, y, yaw) of a motion by odometry alone over a path (m) and a turn (rad)."""
     sigma, sigma_turn = gap_sigmas(path, turn)
     return np.diag((sigma**-2, sigma**-2, sigma_turn**-2))
+
+
+def certainty_in_part(
+    gap: OdometryGap, n_keyframes: int, fit: float, covariance: Float64s, state: Localization
+) -> tuple[Float64s, Localization]:
+    """Returns covariance (3, 3) and state of the pose on the map in a part that only odometry joins to the rest.
+
+    fit: share of the last scans that fit the map.  covariance, state: within the part.
+    """
+    is_found = n_keyframes >= MIN_KEYFRAMES and fit >= MIN_FIT and state is not Localization.LOST
+    covariance = covariance + np.linalg.inv(gap_information(gap.path, gap.turn))
+    return covariance, Localization.POOR if is_found else Localization.LOST
 
 
 def largest_consistent_group(poses: Sequence[Pose2]) -> list[int]:

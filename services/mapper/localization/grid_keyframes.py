@@ -24,6 +24,7 @@ from shared.distance_field import distance_field
 from shared.geometry import Pose2
 from shared.grid import FREE_UP_TO, OCCUPIED_FROM, UNKNOWN, OccupancyGrid, update_of_cells
 from shared.messages import TILE_CELLS, MapUpdate
+from shared.service import Job, Out
 from shared.types import Bools, Float64s, Int64s
 
 MAX_TILES = 20_000  # that the map may span, 80 MB of cells: a square of 450 m at 0.05 m per cell
@@ -70,6 +71,15 @@ def saved_map_from_tiles(tiles: MapUpdate, resolution: float) -> SavedMap:
     keyframes = _add_hidden_cells(keyframes, grid)
     steps = np.hypot(*np.diff(poses[:, :2], axis=0).T)
     return SavedMap(_exact(poses), tuple(keyframes), np.concatenate(((0.0,), np.cumsum(steps))), tiles)
+
+
+def order_virtual_keyframes(grid: Occupancy, tiles: MapUpdate) -> Out:
+    """Orders the keyframes of a grid that was loaded without a graph, unless its cells are not of the set size.
+
+    tiles: of the grid, without edits.
+    """
+    if tiles.resolution == grid.config.resolution:
+        yield Job(add_virtual_keyframes, (grid.map_id, tiles), "on_virtual_keyframes", 1.0)
 
 
 def add_virtual_keyframes(map_id: int, tiles: MapUpdate) -> tuple[int, SavedMap | None]:

@@ -9,12 +9,13 @@ import numpy as np
 from services.mapper.front_end.continuous_odometry import ContinuousOdometry
 from services.mapper.grid.edit_cells import without_walls
 from services.mapper.grid.occupancy import Occupancy
+from services.mapper.localization.grid_keyframes import order_virtual_keyframes
 from services.mapper.maps.map_file import SavedMap, pack_map
 from services.mapper.maps.map_transfer import MapUpload
 from services.mapper.slam import Slam
 from shared.geometry import Pose2
 from shared.grid import OCCUPIED_FROM
-from shared.messages import TILE_CELLS, MapMode, MapState, MapUpdate, Message, PoseEstimate, Stamp
+from shared.messages import TILE_CELLS, Localization, MapMode, MapState, MapUpdate, Message, PoseEstimate, Stamp
 from shared.requests import GIVE_MAP, MAP_PART, GiveMap, Request
 from shared.service import Checkpoint, Log, Out
 from shared.types import NS_PER_S
@@ -42,6 +43,7 @@ class PreviousRun:
     def apply_to(self, slam: Slam) -> bool:
         """Goes on with the map, its edits and the pose; False until they arrived, or without occupied cells.
 
+        A robot that was lost stays lost until it is found on the map.
         What lies below the edits follows with the graph. Until then it is unknown below walls, and free where erased.
         """
         if self.map is None or self.pose is None or not (self.map.cells >= OCCUPIED_FROM).any():
@@ -52,6 +54,8 @@ class PreviousRun:
         mode = MapMode.LOCALISE if self.pose.mode is MapMode.LOCALISE else MapMode.CONTINUE
         slam.use_grid(tiles, self.map.map_id, self.pose.map_from_base, mode, edits)
         slam.name, slam.grid.version, slam.tracked = name, self.map.version, None
+        can_search = slam.grid.resolution == slam.occupancy.resolution
+        slam.localizer.is_searching = self.pose.state is Localization.LOST and can_search
         return True
 
     def take_poses(self, track: ContinuousOdometry, end: int, max_speed: float) -> tuple[Pose2, Pose2] | None:
@@ -65,6 +69,13 @@ class PreviousRun:
         guess = last.map_from_odom @ track.odom_from_start(end) @ track.start_from_base(end)
         max_distance = max_speed * max(end - last.stamp, 0) / NS_PER_S + MAX_JUMP_M
         return (guess, last.map_from_base) if guess.distance(last.map_from_base) <= max_distance else None
+
+
+def resume_search(slam: Slam) -> Out:
+    """Orders keyframes to find a lost robot by, as a checkpoint with a graph may not come."""
+    if slam.localizer.is_searching:
+        slam.grid.update_cells()
+        yield from order_virtual_keyframes(slam.grid, slam.grid.tiles_without_edits(0))
 
 
 def resume_graph(slam: Slam, checkpoint: SavedMap) -> bool:

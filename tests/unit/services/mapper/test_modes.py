@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The mapper's modes while the robot drives: what stays, what goes on, and what a robot that is lost does."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -251,6 +252,27 @@ def test_a_restarted_mapper_goes_on_with_its_pose_graph(mapped, mode):
         graph = unpack_map(again.fetched(), "later").graph
         joins = (graph.i <= before.graph.nodes[-1]) & (graph.j > before.graph.nodes[-1])
         assert (joins & graph.loop).any()  # closures between what was mapped before and after
+
+
+@pytest.mark.parametrize("has_checkpoint", [False, True])
+def test_a_mapper_that_crashes_while_it_looks_for_the_robot_goes_on_looking(mapped, has_checkpoint):
+    content, first = mapped
+    lap = Lap()
+    lap.start(MapMode.LOCALISE, content, Pose2())
+    lap.driven.step(Pose2())
+    checkpoint = lap.driven.mapper.checkpoint()
+    lap.carry(30)
+    lap.start(MapMode.LOCALISE, content)
+    for _ in range(3):
+        lap.driven.step(Pose2())
+    assert lap.state is LOST
+    if has_checkpoint:
+        checkpoint = replace(checkpoint, arguments=(checkpoint.arguments[0], lap.driven.mapper.slam.grid.map_id))
+    again = restarted(lap, checkpoint if has_checkpoint else None)
+    for _ in range(60):
+        again.go(1)
+        assert again.state is not GOOD or again.off(first)[0] < 0.15
+    assert again.state is GOOD
 
 
 @pytest.mark.parametrize("turn", [1.3, -2.6])
