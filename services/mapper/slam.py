@@ -264,27 +264,25 @@ class Slam:
         self.tracked = None
 
     def switch_mode(self, mode: MapMode) -> None:
-        """Keeps the map and the robot's pose, in another mode."""
+        """Keeps the map and the robot's pose, in another mode; a robot in an unjoined part is searched on the rest."""
         if self.changes_map == (mode is not MapMode.LOCALISE):
             return
-        saved = self.snapshot() if self.has_graph else None
+        is_lost, window_about = self.is_in_part or self.localizer.is_searching, self.localizer.window_about
+        saved = (self._map_without_part() if self.is_in_part else self.snapshot()) if self.has_graph else None
         self.mode = mode
         if saved is None:
-            return
-        if self.localizer.is_searching:
-            window_about = self.localizer.window_about
-            self.jobs.reset()
-            self._load_back_end(saved)
-            self.localizer.load(saved)
-            self.front_end.start(self.front_end.local_from_base)
-            self.localizer.start(window_about)
             return
         map_from_local = self.known_map_from_local or self.back_end.map_from_local
         self.jobs.reset()
         self._load_back_end(saved)
-        self.back_end.map_from_local = self.known_map_from_local = map_from_local
-        self.localizer.load(saved if not self.changes_map else None)
-        self.localizer.is_searching = False
+        self.localizer.load(saved if is_lost or not self.changes_map else None)
+        self.searches_part = False
+        if is_lost:
+            self.front_end.start(self.front_end.local_from_base)
+            self.localizer.start(window_about)
+        else:
+            self.back_end.map_from_local = self.known_map_from_local = map_from_local
+            self.localizer.is_searching = False
 
     def _load_back_end(self, saved: SavedMap) -> None:
         self.back_end.load(saved, fixed=not self.changes_map)

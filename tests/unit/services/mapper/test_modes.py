@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from services.mapper.back_end.map_parts import MIN_KEYFRAMES
+from services.mapper.back_end.map_parts import MIN_KEYFRAMES, OdometryGap
 from services.mapper.maps.map_file import pack_map, unpack_map
 from shared import requests
 from shared.geometry import Pose2, wrapped
@@ -136,6 +136,30 @@ def test_what_was_just_mapped_can_be_left_as_it_is_and_the_pose_goes_on(mapped):
     assert lap.state is GOOD
     assert lap.driven.maps[-1].map_id == map_id, "it is one map"
     assert lap.driven.mapper.back_end.n_loops > 5
+
+
+def begin_wrong_part(lap, off):
+    """The robot goes on in a new part of the map, as after scans that did not fit, at a pose that is `off`."""
+    back_end, front_end = lap.driven.mapper.back_end, lap.driven.mapper.front_end
+    motion = back_end.keyframes[-1].local_from_base.inverse() @ front_end.local_from_base @ off
+    front_end.start(back_end.keyframes[-1].local_from_base @ motion)
+    back_end.begin_part(OdometryGap(motion, 2.0, 1.0))
+
+
+def test_a_map_that_is_left_as_it_is_while_the_robot_is_in_a_part_is_that_without_the_part():
+    lap = Lap()
+    lap.go(LAP + 20)
+    n = len(lap.driven.mapper.back_end.keyframes)
+    begin_wrong_part(lap, Pose2(1.5, 0.8, 0.6))
+    lap.go(4)
+    assert lap.driven.mapper.slam.is_in_part
+    assert len(lap.driven.mapper.back_end.keyframes) > n
+    lap.start(MapMode.LOCALISE)
+    assert len(unpack_map(lap.fetched(), "map").keyframes) == n
+    for _ in range(40):
+        lap.go(1)
+        assert lap.state is not GOOD or lap.off()[0] < 0.15
+    assert lap.state is GOOD
 
 
 @pytest.mark.parametrize("seed", [0, 1])
