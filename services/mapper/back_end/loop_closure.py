@@ -9,7 +9,7 @@ The pose graph's robust kernel rejects closures that contradict the others.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import sqrt
+from math import pi, sqrt
 from typing import ClassVar
 
 import numpy as np
@@ -183,8 +183,9 @@ def match_loop_closure(
     keyframe, local_from_row = keyframes[last], keyframes[row].local_from_base
     guess = local_from_row @ (pose_of(graph.poses[row]).inverse() @ pose_of(graph.poses[last]))
     # a wrong closure makes the graph too certain; a wide window still finds the closures that outvote it
-    sigma = max(sqrt(max(covariance[0, 0], covariance[1, 1])), config.min_window / config.window_sigmas)
-    sigma_turn = sqrt(covariance[2, 2])
+    sigma = min(sqrt(max(covariance[0, 0], covariance[1, 1])), config.max_window)  # infinite without any edge
+    sigma = max(sigma, config.min_window / config.window_sigmas)
+    sigma_turn = min(sqrt(covariance[2, 2]), pi)
     prior = Prior(guess, sigma, max(sigma_turn, 0.03))
     reach = min(config.window_sigmas * sigma, config.max_window)
     turn = min(max(config.window_sigmas * sigma_turn, 0.1), 0.5)

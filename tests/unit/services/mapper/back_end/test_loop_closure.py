@@ -21,6 +21,7 @@ from services.mapper.back_end.loop_closure import (
     earlier_visits,
     find_loop_closures,
     information_in_own_frame,
+    match_loop_closure,
 )
 from services.mapper.back_end.map_jobs import MapJobs
 from services.mapper.back_end.pairwise_constraints import PairwiseConfig
@@ -229,6 +230,17 @@ def test_a_keyframe_of_a_few_beams_fits_anywhere_and_closes_nothing():
     assert closures(14) == []
     assert closures(40)
     assert closures(40, enabled=False) == []
+
+
+def test_where_nothing_is_known_of_the_way_a_guess_that_fits_nothing_closes_nothing():
+    robot = DriftingRobot(drift=Pose2())
+    robot.drives(islice(laps(), LAP + 5))
+    graph, keyframes, _, blocks, config, *_ = robot.back_end.search_arguments()
+    poses, last = graph.poses.copy(), len(graph.nodes) - 1
+    poses[last] += (100.0, 100.0, 1.0)
+    unknown = np.diag((np.inf, np.inf, np.inf))
+    assert match_loop_closure(replace(graph, poses=poses), keyframes, 5, last, unknown, blocks, config) is None
+    assert match_loop_closure(graph, keyframes, 5, last, unknown, blocks, config) is not None
 
 
 def test_blocks_are_kept_within_their_memory_and_are_the_same_when_made_again(monkeypatch):
