@@ -161,7 +161,10 @@ class Slam:
     def _begin_part(self) -> Out:
         """Goes on by odometry in a new part of the map, as scans do not fit."""
         front_end, back_end = self.front_end, self.back_end
-        motion = back_end.keyframes[-1].local_from_base.inverse() @ front_end.dead_reckoned
+        local_from_last, self.known_map_from_local = back_end.keyframes[-1].local_from_base, None
+        if not back_end.n_in_part:  # the last keyframe is of another session, with another frame
+            local_from_last = back_end.map_from_local.inverse() @ back_end.graph.pose(int(back_end.graph.nodes[-1]))
+        motion = local_from_last.inverse() @ front_end.dead_reckoned
         back_end.begin_part(OdometryGap(motion, front_end.unmatched.path, front_end.unmatched.turn))
         front_end.start(front_end.dead_reckoned)
         self._end_part_search()

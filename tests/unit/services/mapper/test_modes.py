@@ -162,6 +162,31 @@ def test_a_map_that_is_left_as_it_is_while_the_robot_is_in_a_part_is_that_withou
     assert lap.state is GOOD
 
 
+def test_a_part_that_begins_before_the_first_keyframe_on_a_map_is_joined_by_odometry_alone(mapped):
+    content, first = mapped
+    lap = Lap()
+    lap.carry(30)
+    lap.start(MapMode.LOCALISE, content, first.inverse() @ lap.driven.true)
+    lap.go(20)
+    lap.start(MapMode.CONTINUE)
+    slam = lap.driven.mapper.slam
+    lap.driven.step(Pose2())
+    lap.driven.take(slam._begin_part())
+    assert slam.back_end.n_in_part == 0
+    lap.go(3)
+    assert lap.state is LOST
+    assert lap.off(first)[0] < 0.1
+    assert len(slam.back_end.gap_edges) == 1
+    ((i, j),) = slam.back_end.gap_edges
+    graph = slam.back_end.graph.snapshot()
+    edge = (graph.i == i) & (graph.j == j)
+    step = slam.back_end.graph.pose(i).inverse() @ slam.back_end.graph.pose(j)
+    assert step.distance(Pose2(*graph.relative[edge][0].tolist())) < 0.35
+    lap.go(LAP)
+    assert lap.state is GOOD
+    assert lap.off(first)[0] < 0.1
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 def test_who_is_carried_away_while_mapping_is_found_on_the_own_map(seed):
     rooms = Building(ALIKE, (6.5, 6.0))
