@@ -71,7 +71,7 @@ class Occupancy:
         self._forget_window()
 
     def _forget_window(self) -> None:
-        self._window: tuple[int, int, Int32s] = (0, 0, np.full((1, 1), -1, np.int32))
+        self._window: tuple[int, int, Int32s] = (0, 0, np.zeros((0, 0), np.int32))
 
     def insert_scan(self, origins: Float64s, ends: Float64s, silent: Float64s) -> None:
         """Draws a scan: beams from origins (n, 2) to ends (n, 2), m in the grid's frame; ends are NaN without an echo.

@@ -152,6 +152,29 @@ def test_a_readers_grid_equals_the_mappers_after_any_updates(drawn):
     assert (reader.x0, reader.y0, reader.version) == (late.x0, late.y0, late.version)
 
 
+@settings(max_examples=30)
+@given(st.lists(st.tuples(st.integers(0, 10**6), st.floats(0.4, 2.8), st.floats(0.4, 2.8)), min_size=1, max_size=6))
+def test_edits_that_are_none_and_a_saved_map_change_nothing_of_what_is_drawn_and_asked(scans):
+    """Also where all lies in the tile (0, 0)."""
+    plain, edited = Occupancy(CONFIG, 1), Occupancy(CONFIG, 1)
+    for seed, x, y in scans:
+        angles = np.random.default_rng(seed).uniform(-np.pi, np.pi, 40)
+        beams = np.column_stack((np.full(40, x), np.full(40, y), x + 0.3 * np.cos(angles), y + 0.3 * np.sin(angles)))
+        edited.set_edits({})
+        for grid in (plain, edited):
+            draw(grid, beams)
+    points = np.random.default_rng(0).uniform(0.4, 2.8, (200, 2))
+    centre = np.tile(scans[-1][1:], (200, 1))
+    edited.set_edits({})
+    assert_array_equal(edited.is_free(points, 0), plain.is_free(points, 0))
+    edited.set_edits({})
+    assert_array_equal(edited.contradicts(centre, points), plain.contradicts(centre, points))
+    assert cells_of(edited) == cells_of(plain)
+    loaded = Occupancy(CONFIG, 2)
+    loaded.load(plain.all_tiles(0))
+    assert_array_equal(loaded.is_free(points, 0), plain.is_free(points, 0))
+
+
 def test_nothing_is_published_when_nothing_changed():
     grid = Occupancy(CONFIG, 1)
     assert grid.next_update(0) is None
