@@ -331,6 +331,9 @@ class Slam:
 
     def on_localized(self, result: tuple[int, list[PoseHypothesis], float]) -> Out:
         """Applies the result of a global localization: joins the part, or begins a session at the pose."""
+        if self.searches_part and not self.is_in_part:  # closures joined the part meanwhile
+            self._end_part_search()
+            return
         window_about = self.localizer.window_about
         map_from_local = self.localizer.accepted_pose(result)
         if map_from_local is not None and self.is_in_part:

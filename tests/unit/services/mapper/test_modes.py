@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from services.mapper.back_end.map_parts import MIN_KEYFRAMES, OdometryGap
+from services.mapper.localization.global_localization import PoseHypothesis
 from services.mapper.maps.map_file import pack_map, unpack_map
 from shared import requests
 from shared.geometry import Pose2, wrapped
@@ -160,6 +161,28 @@ def test_a_map_that_is_left_as_it_is_while_the_robot_is_in_a_part_is_that_withou
         lap.go(1)
         assert lap.state is not GOOD or lap.off()[0] < 0.15
     assert lap.state is GOOD
+
+
+def test_the_search_of_a_part_that_closures_have_joined_meanwhile_counts_no_more():
+    lap = Lap()
+    lap.go(30)
+    slam, back_end = lap.driven.mapper.slam, lap.driven.mapper.back_end
+    begin_wrong_part(lap, Pose2())
+    lap.driven.busy = True  # no closures
+    lap.go(10)
+    slam.localizer.load(slam._map_without_part())
+    slam.searches_part = True
+    lap.go(6)
+    order = next(job for job in lap.driven.jobs if job.done == "on_localized")
+    lap.driven.jobs.clear()
+    back_end._join_part(back_end.graph.pose(int(back_end.graph.nodes[-1])))
+    slam.localizer.window_about = Pose2()  # one search is enough
+    found = [PoseHypothesis(back_end.map_from_local, 0.99, True)]
+    stamps = [keyframe.stamp for keyframe in back_end.keyframes]
+    lap.driven.take(lap.driven.mapper.on_localized((order.arguments[0], found, 0.1)))
+    assert [keyframe.stamp for keyframe in back_end.keyframes] == stamps
+    assert slam.is_localized
+    assert not slam.localizer.is_searching
 
 
 def test_a_part_that_begins_before_the_first_keyframe_on_a_map_is_joined_by_odometry_alone(mapped):
