@@ -137,7 +137,7 @@ class LocalCtrlService(Service):
     @on(topics.CONTACTS)
     def contacts(self, contacts: Contacts) -> Out:
         if (pose := self.inputs.pose) is not None:
-            self.zones.add_contacts(contacts, self.inputs.map_from_base(pose), self.now)
+            self.zones.add_contacts(contacts, self.inputs.map_from_base(pose), self.now, self.grid.map_id)
         return ()
 
     @on(topics.ZONES)

@@ -35,7 +35,7 @@ class LocalZones:
         reach = robot.circumscribed_radius
         self._contact_places = ContactPlaces(robot)
         self._keep_out, self._walls, self._contacts = KeepOut(reach), KeepOut(reach), KeepOut(reach)
-        self._map_of_walls = 0  # its id
+        self._map_of_walls = self._map_of_contacts = 0  # their ids
         self._slow: tuple[tuple[Float64s, float, float], ...] = ()  # polygon in `map`, m/s, share of the top speed
 
     def set_zones(self, zones: Zones) -> None:
@@ -43,9 +43,12 @@ class LocalZones:
         self._keep_out.take(zones)
         self._slow = tuple((polygon_of(z), z.speed, z.share) for z in zones.zones if z.kind is ZoneKind.SLOW)
 
-    def add_contacts(self, contacts: Contacts, map_from_base: Pose2, now: int) -> None:
-        """Takes contacts of the robot at a pose: their places are zones for a while. now: ns."""
-        if self._contact_places.add(contacts, map_from_base, now):
+    def add_contacts(self, contacts: Contacts, map_from_base: Pose2, now: int, map_id: int) -> None:
+        """Takes contacts of the robot at a pose on a map: their places are zones on it for a while. now: ns."""
+        if is_other_map := map_id != self._map_of_contacts:
+            self._map_of_contacts = map_id
+            self._contact_places.clear()
+        if self._contact_places.add(contacts, map_from_base, now) or is_other_map:
             self._contacts.take_polygons(self._contact_places.polygons)
 
     def set_walls(self, state: MapState) -> None:
@@ -60,10 +63,11 @@ class LocalZones:
         """(n, n) bool: cells in keep-out zones and walls, for the robot at `here` in `odom`; None without any.
 
         window: x0, y0 m in `odom` of the centre of its lower left cell; m a cell; cells along a side.
-        map_id: of the present map; walls of another one do not count.
+        map_id: of the present map; walls and contacts of another one do not count.
         """
         walls = (self._walls,) if map_id == self._map_of_walls else ()
-        kinds = (self._keep_out, self._contacts, *walls)
+        contacts = (self._contacts,) if map_id == self._map_of_contacts else ()
+        kinds = (self._keep_out, *contacts, *walls)
         for kind in kinds:
             kind.moved(odom_from_map.inverse() @ here)
         x0, y0, resolution, n = window

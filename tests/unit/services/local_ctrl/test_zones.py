@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 from services.local_ctrl.controller import APPROACH_BRAKING_SHARE
+from services.local_ctrl.zones import LocalZones
 from shared import reasons
 from shared.config import load_robot
 from shared.geometry import Pose2
-from shared.messages import FollowState, RecoveryKind, Zones
+from shared.messages import Contacts, FollowState, RecoveryKind, Zones
 from shared.polygon import contains, distances_to_outline
+from shared.robot import Bumper
 from shared.zones import ZoneConfig
 from tests.unit.services.local_ctrl.test_controllers import config
 from tests.unit.services.local_ctrl.tiny_world import ControlLoop, TinyWorld, drive_goal, off, recovery
@@ -101,3 +103,20 @@ def test_a_zone_of_one_place_bounds_the_speed_by_the_way_that_is_left_to_it():
         wanted = sqrt(0.3**2 + 2 * APPROACH_BRAKING_SHARE * service.limits.braking * way) if x < 5 else np.inf
         assert limits.v_max == pytest.approx(min(wanted, service.limits.v_max), abs=0.06)
         assert limits.v_min >= -limits.v_max
+
+
+def test_the_place_of_a_contact_counts_on_its_own_map_alone():
+    robot = X80.model_copy(update={"bumpers": (Bumper(name="front", bearing=0.0, width=1.0),)})
+    zones, here, window = LocalZones(robot), Pose2(1.0, 1.0, 0.0), (-2.0, -2.0, 0.05, 120)
+
+    def is_forbidden_on(map_id):
+        return zones.forbidden_cells(Pose2(), here, window, map_id) is not None
+
+    zones.add_contacts(Contacts(0, ("front",), (), False), here, 0, map_id=1)
+    zones.add_contacts(Contacts(1, (), (), False), here, 1, map_id=1)
+    assert is_forbidden_on(1)
+    assert not is_forbidden_on(2)
+    zones.add_contacts(Contacts(2, (), (), False), here, 2, map_id=2)
+    assert not is_forbidden_on(2)
+    zones.add_contacts(Contacts(3, ("front",), (), False), here, 3, map_id=2)
+    assert is_forbidden_on(2)
