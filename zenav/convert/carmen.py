@@ -82,7 +82,7 @@ def _robotlaser(cells: list[str]) -> LoggedScan:
     n = _count(cells[7])
     ranges = _ranges(cells[8 : 8 + n], n)
     rest = cells[9 + n + _count(cells[8 + n], minimum=0) :]
-    x, y, yaw, base_x, base_y, base_yaw = _numbers(rest[:6], 6)
+    x, y, yaw, base_x, base_y, base_yaw, v, w = _numbers(rest[:8], 8)
     if abs(start) > 2 * pi or increment == 0 or abs(increment) * (n - 1) > 2 * pi + 1e-3 or not 0 < range_max <= 250:
         raise ValueError("a scan of no angles")
     return LoggedScan(
@@ -93,6 +93,8 @@ def _robotlaser(cells: list[str]) -> LoggedScan:
         angle_increment=increment,
         range_max=range_max,
         ranges=ranges,
+        v=v,
+        w=w,
     )
 
 

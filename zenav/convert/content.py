@@ -41,13 +41,13 @@ class Content:
 
 
 def content_of(log: DriveLog) -> Content:
-    """A log's records as messages. A scan's odometry has the speeds of the latest pose before it."""
+    """A log's records as messages. A scan's odometry has the speeds of the latest pose; without any pose, its own."""
     messages: list[tuple[str, Message]] = []
     scans = [record for record in log.records if isinstance(record, LoggedScan)]
     range_max = range_max_of(scans) if scans else 0.0
-    v = w = 0.0
+    v, w, has_poses = 0.0, 0.0, len(scans) < len(log.records)
     for record in sorted(log.records, key=lambda record: record.stamp):
-        if isinstance(record, LoggedPose):
+        if isinstance(record, LoggedPose) or not has_poses:
             v, w = record.v, record.w
         if log.has_odometry:
             messages.append(("odom", Odometry(record.stamp, record.odom_from_base, v, w, np.zeros(9))))

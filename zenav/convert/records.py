@@ -22,6 +22,7 @@ class LoggedScan:
     """A sweep, with the odometry at its first beam. range_max: m, 0 where the log does not have it.
 
     ranges: (n,) m, NaN where nothing was measured.   scan_time: s from the first beam to the last.
+    v, w: m/s and rad/s of the base, 0 where the line does not have them.
     """
 
     stamp: int  # ns, the log's clock
@@ -32,6 +33,8 @@ class LoggedScan:
     range_max: float
     ranges: Float32s
     scan_time: float = 0.0
+    v: float = 0.0
+    w: float = 0.0
 
     @property
     def end(self) -> int:

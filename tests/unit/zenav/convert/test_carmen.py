@@ -123,6 +123,11 @@ def test_messages_of_a_log_are_in_the_order_of_their_stamps_and_scans_keep_the_s
     assert speeds == [(0.3, -0.1), (0.3, -0.1), (0.7, 0.2)]
 
 
+def test_a_log_of_scans_alone_has_their_speeds(tmp_path):
+    messages = [message for _, message in content_of(read_carmen(log(tmp_path, ROBOTLASER))).messages]
+    assert [(message.v, message.w) for message in messages if isinstance(message, Odometry)] == [(0.2, 0.1)]
+
+
 def test_a_file_that_is_not_there_is_named(tmp_path):
     with pytest.raises(UserError, match="cannot read") as error:
         read_carmen(tmp_path / "nothing.log")
