@@ -218,9 +218,8 @@ class Slam:
         )
 
     def changed_tiles(self, now: int) -> Out:
-        """Publishes the tiles that changed.  now: ns."""
-        update = self.grid.next_update(now)
-        if update is not None:
+        """Publishes the tiles that changed, in as many messages as it takes.  now: ns."""
+        while (update := self.grid.next_update(now)) is not None:
             yield topics.MAP(update)
 
     @property

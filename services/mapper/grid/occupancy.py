@@ -22,6 +22,8 @@ from shared.types import Bools, Float32s, Float64s, Int8s, Int32s, UInt8s
 TILE_ARRAYS = ("log_odds", "observed", "modified", "cells", "unpublished")
 """The arrays of `Occupancy` with a row for each tile."""
 
+MAX_UPDATE = 500  # tiles, 2 MB of cells: a message may have 4 MiB
+
 
 class OccupancyConfig(Section):
     """The occupancy grid."""
@@ -101,12 +103,12 @@ class Occupancy:
                 self.tile_index[int(i) + row0, int(j) + column0] = int(directory[i, j])
 
     def next_update(self, stamp: int) -> MapUpdate | None:
-        """The tiles that changed since the last update, by row and column; None without any. stamp: ns."""
+        """The first MAX_UPDATE changed tiles that no update had yet, by row and column; None without any. stamp: ns."""
         self.update_cells()
-        changed = sorted(tile for tile, i in self.tile_index.items() if self.unpublished[i])
+        changed = sorted(tile for tile, i in self.tile_index.items() if self.unpublished[i])[:MAX_UPDATE]
         if not changed:
             return None
-        self.unpublished[:] = False
+        self.unpublished[[self.tile_index[tile] for tile in changed]] = False
         self.version += 1
         return self._message(stamp, changed)
 

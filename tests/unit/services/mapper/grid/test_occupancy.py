@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 from services.mapper.grid.occupancy import TILE_ARRAYS, Occupancy, OccupancyConfig
-from shared.grid import OCCUPIED_FROM, OccupancyGrid
+from shared.codec import Envelope, encode
+from shared.grid import OCCUPIED_FROM, OccupancyGrid, update_of_cells
+from shared.runners.transport import oversize
 
 CONFIG = OccupancyConfig()
 HIT, MISS = round(100 * CONFIG.hit), round(100 * CONFIG.miss)
@@ -194,6 +196,25 @@ def test_only_changed_tiles_are_sent():
     assert len(grid.next_update(0).rows) == 10
     draw(grid, [(0.1, 0.1, 1, 0.1)])
     assert len(grid.next_update(0).rows) == 1
+
+
+def test_a_hall_is_published_in_messages_that_are_small_enough():
+    size = 33 * 64  # 106 m
+    cells = np.zeros((size, size), np.int8)
+    cells[:3] = cells[:, -3:] = 96
+    grid, reader = Occupancy(CONFIG, 1), OccupancyGrid()
+    grid.load(update_of_cells(cells, 0.05, 0.0, 0.0))
+    updates = list(iter(lambda: grid.next_update(5), None))
+    for update in updates:
+        assert not oversize(encode(update, Envelope("mapper", "x", 0, 0)))
+        reader.apply(update)
+    assert sum(len(update.rows) for update in updates) == len(grid.tile_index) == 33 * 33
+    assert [update.version for update in updates] == [1, 2, 3]
+    late = OccupancyGrid()
+    late.apply(grid.all_tiles(0))
+    assert_array_equal(reader.cells, late.cells)
+    draw(grid, [(1.0, 1.0, 1.5, 1.0)] * 5)
+    assert len(grid.next_update(6).rows) == 1
 
 
 def test_a_saved_map_is_published_as_it_was_saved():
