@@ -170,8 +170,9 @@ def _grey(image: Path, path: Path) -> tuple[UInt8s, UInt8s]:
             if picture.width * picture.height > MAX_PIXELS:
                 raise Image.DecompressionBombError
             if picture.mode in ("L", "I", "I;16", "1", "P") and "transparency" not in picture.info:
-                grey = np.asarray(picture.convert("L"), np.uint8)
-                return grey, np.full(grey.shape, 255, np.uint8)
+                is_deep = picture.mode.startswith("I")  # 16 bits, which Pillow would cut at 255
+                grey = np.clip(np.asarray(picture) // 257, 0, 255) if is_deep else np.asarray(picture.convert("L"))
+                return grey.astype(np.uint8), np.full(grey.shape, 255, np.uint8)
             channels = np.asarray(picture.convert("RGBA"), np.uint16)
     except FileNotFoundError:
         raise UserError(

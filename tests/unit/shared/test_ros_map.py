@@ -81,6 +81,14 @@ def test_a_transparent_png_is_unknown_where_one_sees_through_in_scale_mode(tmp_p
     assert_array_equal(found, [[-1, 100]])
 
 
+def test_a_picture_of_sixteen_bits_has_the_same_greys(tmp_path):
+    deep = GREYS.astype(np.uint16) * 257
+    found, *_ = read_ros_map(saved(tmp_path, deep, "map.png", image="map.png"))
+    assert_array_equal(found, read_ros_map(saved(tmp_path))[0])
+    (tmp_path / "map.pgm").write_bytes(b"P5\n3 2\n65535\n" + deep.astype(">u2").tobytes())
+    assert_array_equal(read_ros_map(tmp_path / "map.yaml")[0], found)
+
+
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
