@@ -7,7 +7,7 @@ The library itself gives back only what is free at the heap's end. A mapper that
 
 import ctypes
 
-GROWTH_MB = 4.0
+GROWTH_MB = 2.0
 """By which a process must have grown: a heap without holes is then seldom searched."""
 
 

@@ -42,6 +42,8 @@ class Sweep:
 NO_COVARIANCE = np.zeros((3, 3), np.float32)
 """Covariance of a keyframe that the graph was optimized with."""
 
+OBJECT_BYTES = 1250  # of a keyframe's Python objects
+
 
 @dataclass(frozen=True, slots=True)
 class Keyframe:
@@ -86,8 +88,10 @@ class Keyframe:
 
     @property
     def n_bytes(self) -> int:
-        """Memory of the arrays, bytes."""
-        return sum(array.nbytes for array in (self.origins, self.ends, self.points, self.normals, self.silent))
+        """Memory of the arrays and of the Python objects that hold them, bytes."""
+        return OBJECT_BYTES + sum(
+            array.nbytes for array in (self.origins, self.ends, self.points, self.normals, self.silent)
+        )
 
     @property
     def origin(self) -> Float64s:

@@ -8,7 +8,7 @@ The pose graph's robust kernel rejects closures that contradict the others.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from math import pi, sqrt
 from typing import ClassVar
 
@@ -28,6 +28,7 @@ from shared.types import Float64s, Int64s
 
 WEAK_INFORMATION = 1e-2 * np.eye(3)
 """Information of an unknown pose: standard deviations of 10 m and 10 rad."""
+GRAPH_SHARE = 1.5  # memory of the graph that grows, by doubling, as a share of its snapshot's
 MIN_RIVAL_M, MIN_RIVAL_RAD = 0.3, 0.2  # distance from the best pose from which another pose is a rival
 
 
@@ -83,8 +84,8 @@ class SubmapCache:
     range_max: m, of the laser.
     """
 
-    MAX_BYTES = 44_000_000  # with the keyframes, so that memory stays as these become more
-    MIN_BYTES = 16_000_000  # about 16 submaps in a room, 2 in a hall
+    MAX_BYTES = 46_000_000  # with the graph and its keyframes, so that memory stays as these become more
+    MIN_BYTES = 8_000_000  # about 8 submaps in a room, 1 in a hall
 
     def __init__(
         self, registration: RegistrationConfig, occupancy: OccupancyConfig, range_max: float, config: LoopClosureConfig
@@ -92,12 +93,12 @@ class SubmapCache:
         self._settings, self._config = (registration, occupancy, range_max), config
         self._cached: dict[int, tuple[Submap, Pyramid]] = {}
 
-    def around(self, nodes: Int64s, keyframes: Sequence[Keyframe], row: int) -> tuple[Submap, Pyramid]:
+    def around(self, graph: Graph, keyframes: Sequence[Keyframe], row: int) -> tuple[Submap, Pyramid]:
         """Returns the submap, and its pyramid, that holds the node of a row in its middle third.
 
-        nodes, keyframes: (n,) names of the nodes, and their keyframes.
+        keyframes: (n,) of the graph's nodes.
         """
-        block_size = self._config.block_size
+        nodes, block_size = graph.nodes, self._config.block_size
         block = int(nodes[row]) // block_size
         begin, end = (int(np.searchsorted(nodes, (block + k) * block_size)) for k in (-1, 2))
         is_complete = end < len(nodes)
@@ -113,7 +114,9 @@ class SubmapCache:
             entry = submap, build_pyramid(np.ascontiguousarray(points), self._config.search)
         if is_complete:
             self._cached[block] = entry
-            limit = max(self.MIN_BYTES, self.MAX_BYTES - len(keyframes) * keyframes[row].n_bytes)
+            n_bytes = GRAPH_SHARE * sum(getattr(graph, field.name).nbytes for field in fields(graph))
+            n_bytes += sum(keyframe.n_bytes for keyframe in keyframes)
+            limit = max(self.MIN_BYTES, self.MAX_BYTES - n_bytes)
             while len(self._cached) > 1 and self.n_bytes > limit:
                 del self._cached[next(iter(self._cached))]
         return entry
@@ -179,7 +182,7 @@ def match_loop_closure(
     """
     if len(keyframes[last].points) < MIN_BEAMS:
         return None
-    submap, pyramid = submaps.around(graph.nodes, keyframes, row)
+    submap, pyramid = submaps.around(graph, keyframes, row)
     keyframe, local_from_row = keyframes[last], keyframes[row].local_from_base
     guess = local_from_row @ (pose_of(graph.poses[row]).inverse() @ pose_of(graph.poses[last]))
     # a wrong closure makes the graph too certain; a wide window still finds the closures that outvote it

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot whose front end drifts drives round a ring: its loop closes, and nothing closes that is none."""
 
-from dataclasses import replace
+import sys
+from dataclasses import fields, replace
 from itertools import islice
 from math import hypot, pi
 
@@ -248,13 +249,13 @@ def test_blocks_are_kept_within_their_memory_and_are_the_same_when_made_again(mo
     robot.drives(islice(laps(), LAP))
     graph, keyframes, _, blocks, *_ = robot.back_end.search_arguments()
     rows = range(5, 120, 10)
-    kept = [blocks.around(graph.nodes, keyframes, row) for row in rows]
-    taken = sum(keyframe.n_bytes for keyframe in keyframes)
+    kept = [blocks.around(graph, keyframes, row) for row in rows]
+    taken = memory(graph, keyframes)
     for least, most in ((blocks.n_bytes // 3, 0), (0, taken + blocks.n_bytes // 3)):
         monkeypatch.setattr(SubmapCache, "MIN_BYTES", least)
         monkeypatch.setattr(SubmapCache, "MAX_BYTES", most)
         for row, (submap, pyramid) in zip(rows, kept):
-            again, drawn_again = blocks.around(graph.nodes, keyframes, row)
+            again, drawn_again = blocks.around(graph, keyframes, row)
             assert_array_equal(again.registrar.map.points, submap.registrar.map.points)
             assert_array_equal(drawn_again.levels, pyramid.levels)
             assert blocks.n_bytes <= max(least, 1.05 * (most - taken))
@@ -266,13 +267,31 @@ def test_the_memory_of_a_map_stays_when_its_keyframes_become_more(monkeypatch):
     robot = DriftingRobot(drift=Pose2())
     robot.drives(islice(laps(), LAP))
     graph, keyframes, _, blocks, *_ = robot.back_end.search_arguments()
-    monkeypatch.setattr(SubmapCache, "MAX_BYTES", sum(keyframe.n_bytes for keyframe in keyframes) + blocks.n_bytes)
+    monkeypatch.setattr(SubmapCache, "MAX_BYTES", memory(graph, keyframes) + blocks.n_bytes)
     sums = []
     for n in range(60, len(keyframes), 20):
+        part = graph.subgraph_before(int(graph.nodes[n]))
         for row in range(5, n - 25, 10):
-            blocks.around(graph.nodes[:n], keyframes[:n], row)
-        sums.append(blocks.n_bytes + sum(keyframe.n_bytes for keyframe in keyframes[:n]))
+            blocks.around(part, keyframes[:n], row)
+        sums.append(blocks.n_bytes + memory(part, keyframes[:n]))
     assert max(sums) <= 1.05 * SubmapCache.MAX_BYTES
+
+
+def test_the_memory_of_a_keyframe_is_that_of_all_its_objects():
+    keyframe = DriftingRobot().keyframe()
+    arrays = [value for field in fields(keyframe) if isinstance(value := getattr(keyframe, field.name), np.ndarray)]
+    whole = sum(sys.getsizeof(array) + (array.nbytes if array.base is not None else 0) for array in arrays)
+    whole += sys.getsizeof(keyframe) + sys.getsizeof(keyframe.stamp)
+    for pose in (keyframe.local_from_base, keyframe.odometry_residual):
+        whole += sys.getsizeof(pose) + sum(sys.getsizeof(value) for value in (pose.x, pose.y, pose.yaw))
+    assert keyframe.n_bytes == pytest.approx(whole, rel=0.05)
+    assert keyframe.n_bytes > sum(array.nbytes for array in arrays) + 1000
+
+
+def memory(graph, keyframes):
+    """Bytes of a graph that grows by doubling, and of its keyframes."""
+    arrays = sum(getattr(graph, field.name).nbytes for field in fields(graph))
+    return 1.5 * arrays + sum(keyframe.n_bytes for keyframe in keyframes)
 
 
 def test_who_turns_on_the_spot_for_ever_keeps_a_graph_of_one_size():
