@@ -311,10 +311,7 @@ class Slam:
         return ()
 
     def add_graph(self, saved: SavedMap) -> bool:
-        """Gives a map of tiles its graph and keyframes. The robot keeps its pose, or is searched where it is lost.
-
-        Returns False if it has a graph.
-        """
+        """Gives a map of tiles its graph. A lost robot is searched, others keep their pose. False if it has a graph."""
         if self.front_end.from_keyframes:
             return False
         self.jobs.reset()
@@ -358,8 +355,9 @@ class Slam:
             self.front_end.reset_uncertainty()
 
     def on_graph_optimized(self, result: tuple[int, OptimizationResult]) -> Out:
-        """Applies an optimum: the pose on the map moves now, the map when it is redrawn."""
-        self.front_end.reset_uncertainty()
+        """Applies an optimum: the pose on the map moves now, the map when it is redrawn. Closures make it certain."""
+        if result[0] == self.jobs.epoch and self.back_end.optimizes_closures:
+            self.front_end.reset_uncertainty()
         return self.jobs.on_graph_optimized(result)
 
     def on_local_map(self, result: tuple[int, LocalMap]) -> Out:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from services.mapper.back_end.map_parts import MIN_KEYFRAMES, OdometryGap
+from services.mapper.back_end.solver.optimize import optimize
 from services.mapper.localization.global_localization import PoseHypothesis
 from services.mapper.maps.map_file import pack_map, unpack_map
 from shared import requests
@@ -183,6 +184,23 @@ def test_the_search_of_a_part_that_closures_have_joined_meanwhile_counts_no_more
     assert [keyframe.stamp for keyframe in back_end.keyframes] == stamps
     assert slam.is_localized
     assert not slam.localizer.is_searching
+
+
+def test_only_an_optimum_of_this_map_with_closures_makes_the_pose_certain():
+    lap = Lap()
+    lap.go(30)
+    mapper = lap.driven.mapper
+    slam, back_end, uncertainty = mapper.slam, mapper.back_end, mapper.front_end.uncertainty
+
+    def sigma_after(epoch, n_closures):
+        uncertainty.covariance = np.diag((1.0, 1.0, 0.1))
+        back_end.n_pending_closures, back_end.n_pending_pairwise = n_closures, 1
+        lap.driven.take(mapper.on_graph_optimized((epoch, optimize(*back_end.optimization_arguments()))))
+        return uncertainty.covariance[0, 0]
+
+    assert sigma_after(slam.jobs.epoch, 0) == 1.0
+    assert sigma_after(slam.jobs.epoch - 1, 1) == 1.0
+    assert sigma_after(slam.jobs.epoch, 1) == 0.0
 
 
 def test_a_part_that_begins_before_the_first_keyframe_on_a_map_is_joined_by_odometry_alone(mapped):
