@@ -105,10 +105,7 @@ class BaseDriverService(Service):
 
     @on(topics.BASE_STATUS)
     def restore_faults(self, status: BaseStatus) -> Out:
-        """Restores e-stop and latched faults from the status of the previous process.
-
-        Only a release that is newer than this status ends them.
-        """
+        """Restores e-stop and latched faults from the previous process's status: only a newer release ends them."""
         if status.fault == reasons.ESTOP.code:
             self.pressed_stop = EmergencyStop(status.stamp, True, "from before a restart")
             yield self._status()
@@ -170,8 +167,8 @@ class BaseDriverService(Service):
             yield from (topics.WHEELS(state) for state in self.encoders.update(report, self.now))
         elif self.velocity_base is not None:
             yield topics.BASE_ODOMETRY(self.velocity_base.update(report, self.now))
-        if not 0 <= self.now - self.drove_at <= MAX_PAUSE_NS:  # the clock was set, or the process slept
-            self.diagnosis.wheel_faults.restart()  # the wheels had no time to turn
+        if self._awake_since == self.now:  # the clock was set, or the process slept: the wheels had no time to turn
+            self.diagnosis.wheel_faults.restart()
         self.diagnosis.update(report, self.velocity_base or self.encoders, self.wheel_command, self.now)
         self._update_link()
         yield from self._status_if_changed()

@@ -49,9 +49,9 @@ class CommandSource:
         self.command, self._valid_from = command, min(command.stamp, now)
         return True
 
-    def heard(self, now: int) -> None:
-        """A command came that is not used, as a late one: the source is not silent, and does not count as new."""
-        if not self.is_armed:
+    def heard(self, command: Velocity, now: int) -> None:
+        """A command came that is not used, as a late one: a source that asks for motion is not silent, and not new."""
+        if not self.is_armed and not self.is_zero(command):
             self._silent_since = max(self._silent_since, now)
 
     def disarm(self, now: int) -> None:

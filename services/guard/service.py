@@ -62,13 +62,7 @@ class GuardService(Service):
         top_speed = max(drive.max_speed, drive.max_reverse_speed)
         stopping_distance = top_speed * (config.field.reaction + top_speed / drive.max_braking)
         self.obstacles = Obstacles(config.obstacles, robot, robot.circumscribed_radius + stopping_distance + 0.5)
-        self.limiter = VelocityLimiter(
-            robot=robot,
-            config=config.field,
-            inputs=self.inputs,
-            odometry=self.odometry_buffer,
-            obstacles=self.obstacles,
-        )
+        self.limiter = VelocityLimiter(robot, config.field, self.inputs, self.odometry_buffer, self.obstacles)
         self.decision = GuardDecision(GuardState.IDLE, reasons.STARTING.code)
         self.published: tuple[GuardState, str, str] | None = None  # state, source and reason of the last status
         self.stopped_at = 0  # ns, the last time with an e-stop or a fault
@@ -112,10 +106,7 @@ class GuardService(Service):
 
     @on(topics.GUARD)
     def status_before_restart(self, status: GuardStatus) -> Out:
-        """Restores the e-stop from the guard's own last status: only a later release ends it.
-
-        After a release the sources still have to send zero first.
-        """
+        """Restores the e-stop, which only a later release ends, or the wait for zero after its release."""
         self.stopped_at = max(self.stopped_at, status.stopped)
         if status.reason == reasons.ESTOP_RELEASED.code:
             self.inputs.disarm(self.now)
@@ -235,8 +226,8 @@ class GuardService(Service):
         """Whether a command's stamp is newer than the last one's and recent."""
         last, age = source.command.stamp if source.command else None, self.config.arbitration.command_age
         is_usable = self.rejections.judge(topic.key, command.stamp, last, self.now, age)
-        if not is_usable and not source.is_zero(command):
-            source.heard(self.now)
+        if not is_usable:
+            source.heard(command, self.now)
         return is_usable
 
     def _evaluate(self) -> GuardDecision:

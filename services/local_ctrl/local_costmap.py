@@ -128,8 +128,7 @@ class LocalCostmap:
             eye = float(odom_from_base[-1, 0]), float(odom_from_base[-1, 1])
             self.dynamic_obstacles.by_key[key].add_scan(outline, eye, scan.stamp, self.free_at, window)
             _update_evidence(touched, scan.stamp, self.evidence, self.hit_at, self.free_at)
-            # dynamic obstacles are no part of the grid: the controllers use their predictions
-            _clear_discs(self.evidence, self.dynamic_obstacles.discs(scan.stamp), window)
+            _clear_discs(self.evidence, self.dynamic_obstacles.discs(scan.stamp), window)  # controllers predict them
 
     def add_ranges(self, readings: RangeReadings, odom_from_base: Pose2, wanted: Bools, limits: Float64s) -> None:
         """Marks the arc of each echo unless a known obstacle explains it, and clears the cone before it.
