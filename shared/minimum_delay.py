@@ -2,7 +2,7 @@
 """The shortest delay of messages from another computer lately, by clocks that differ, drift, and are set.
 
 The method is our own. Received minus sent is the difference of both clocks plus the delay. Its minimum over some
-seconds stands for no delay.
+seconds counts as no delay.
 """
 
 from shared.types import NS_PER_S

@@ -343,6 +343,14 @@ def test_teleop_goes_before_nav_and_gives_back_when_it_falls_silent():
     assert drive.velocity == pytest.approx((0.5, 0.0))
 
 
+def drives_after_zero(drive):
+    drive.nav = (0.0, 0.0)
+    drive.run(0.2)
+    drive.nav = (0.5, 0.0)
+    drive.run(1.0)
+    assert drive.velocity == pytest.approx((0.5, 0.0))
+
+
 def test_stop_outlives_the_guard_until_a_later_release():
     before = driving()
     before.stop(True)
@@ -359,11 +367,7 @@ def test_stop_outlives_the_guard_until_a_later_release():
     drive.run(1.0)
     assert drive.velocity == (0, 0), "releasing never moves the robot"
     assert drive.decision == (GuardState.HOLD, "estop_released")
-    drive.nav = (0.0, 0.0)
-    drive.run(0.2)
-    drive.nav = (0.5, 0.0)
-    drive.run(1.0)
-    assert drive.velocity == pytest.approx((0.5, 0.0))
+    drives_after_zero(drive)
 
 
 def test_a_release_before_the_guard_s_restart_still_asks_for_zero_first():
@@ -378,11 +382,7 @@ def test_a_release_before_the_guard_s_restart_still_asks_for_zero_first():
     drive.nav = (0.5, 0.0)
     drive.run(1.0)
     assert drive.decision == (GuardState.HOLD, "estop_released")
-    drive.nav = (0.0, 0.0)
-    drive.run(0.2)
-    drive.nav = (0.5, 0.0)
-    drive.run(1.0)
-    assert drive.velocity == pytest.approx((0.5, 0.0))
+    drives_after_zero(drive)
 
 
 def test_a_stick_whose_commands_come_late_for_a_while_is_no_new_source():

@@ -18,7 +18,7 @@ NAME, KEY = "/battery_state", topics.BASE_STATUS.key
 
 
 class FakeStack:
-    """Stands for the client and the reader of kept values, and keeps what each of them calls back."""
+    """A fake of the client and of the reader of kept values. It keeps the callbacks of both."""
 
     def __init__(self, monkeypatch):
         self.hear, self.hear_kept, self.is_listened_to = {}, {}, threading.Event()
