@@ -140,9 +140,9 @@ FAULTS = {
 BY_HAND = """
 start: {x: 1.0, y: 2.0}
 walls:
-  - {points: [[0, 0], [4.5, 0], [4.5, 4], [0, 4]], closed: true}
+  - {points: [[0, 0], [3.5, 0], [3.5, 4], [0, 4]], closed: true}
 """
-"""Three metres to drive into a wall."""
+"""Two metres to drive into a wall."""
 
 
 @pytest.mark.parametrize("way", FAULTS)
@@ -157,7 +157,7 @@ def test_a_laser_that_fails_stops_navigation_in_time_with_the_reason_and_back_it
     assert stack.guard.state is GuardState.HOLD
     assert stack.guard.detail
     stack.until(lambda: abs(stack.truth.v) < 0.01, 1.0)
-    stack.stands_for(3.0)
+    stack.stands_for(1.5)
     assert stack.guard.reason == FAULTS[way]
     stack.lockstep.service("sim").every = 0
     stack.until(stack.ended, 60.0)
@@ -178,7 +178,7 @@ def test_a_hand_that_pushes_on_when_the_laser_fails_creeps_at_most_and_meets_no_
     stack.lockstep.watch("guard/status", lambda status: said.add(status.reason))
     stack.until(lambda: stack.newest["cmd/vel"].v <= 0.15 + 1e-6, 1.0)
     assert stack.now - sim.first_bad <= 850 * MS  # 0.3 s of no view, then it brakes from 0.5 to 0.15 m/s
-    fast = stack.lockstep.run(20.0, lambda: stack.newest["cmd/vel"].v > 0.15 + 1e-6)
+    fast = stack.lockstep.run(14.0, lambda: stack.newest["cmd/vel"].v > 0.15 + 1e-6)
     assert not fast
     assert stack.truth.n_contacts == 0
     assert stack.truth.v < 0.01

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Six worlds of the BARN challenge, from roomy to narrow: the stack gets through each, in time, without a touch.
+"""Four worlds of the BARN challenge, from roomy to narrow: the stack gets through each, in time, without a touch.
 
 And the pose of a noisy robot with a fast laser, where thin cylinders are all there is to see.
 """
@@ -39,7 +39,7 @@ def trial(world: str, seed: int, folder: Path, settings: tuple[str, ...], delay:
 
 
 @pytest.mark.skipif(not WORLDS.is_file(), reason="ZENAV_DATA names no folder with barn/barn_worlds.json.gz")
-@pytest.mark.parametrize("world", ["1", "163", "242", "275", "287", "299"])
+@pytest.mark.parametrize("world", ["1", "242", "275", "299"])
 def test_the_stack_gets_through_a_cluttered_world(world, tmp_path):
     done = run_barn(trial(world, 0, tmp_path, CHEAP))
     assert done.status == "success", done.why

@@ -14,7 +14,7 @@ from shared.messages import EditKind, Localization, MapEdit, MapMode, NavState
 from shared.recording import CONFIG, Writer, sink
 from shared.requests import EditMap, Navigate
 from shared.runners.lockstep import Lockstep
-from tests.lockstep.stack import LockstepStack
+from tests.lockstep.stack import QUICK, LockstepStack
 from tests.lockstep.test_map_modes import StackMapClient, fetch, start
 from zenav.maps.map_files import grid_from_update
 from zenav.replay.reprocess import replay_file
@@ -43,7 +43,7 @@ def across(kind, line, width=0.2):
 @pytest.fixture(scope="module")
 def rooms(tmp_path_factory) -> SavedMap:
     """The rooms' map, from a drive through both doors."""
-    stack = LockstepStack(tmp_path_factory.mktemp("mapped"), ROOMS)
+    stack = LockstepStack(tmp_path_factory.mktemp("mapped"), ROOMS, settings=QUICK)
     for place in ((6.0, -1.5), (6.0, 1.5), (0.0, 1.5), (0.0, 0.0)):
         stack.go(*place)
         stack.until(stack.reached, 60.0)
@@ -51,7 +51,7 @@ def rooms(tmp_path_factory) -> SavedMap:
 
 
 def localised(folder, saved: SavedMap) -> LockstepStack:
-    stack = LockstepStack(folder, ROOMS)
+    stack = LockstepStack(folder, ROOMS, settings=QUICK)
     plans = stack.plans = []
     stack.lockstep.watch("plan", plans.append)
     start(stack, MapMode.LOCALISE, pack_map(saved), Pose2())

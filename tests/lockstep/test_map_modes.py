@@ -8,7 +8,7 @@ from shared import reasons, topics
 from shared.messages import Localization, MapMode, NavState, Velocity
 from shared.recording import CONFIG, Writer, sink
 from shared.runners.lockstep import Lockstep
-from tests.lockstep.stack import HALL, LockstepStack
+from tests.lockstep.stack import HALL, QUICK, LockstepStack
 from zenav.client.map_transfer import fetch_map, give_map, start_mode
 from zenav.client.navigation_client import RequestRefusedError
 from zenav.replay.reprocess import replay_file
@@ -51,7 +51,7 @@ def by_hand(stack: LockstepStack, v: float, w: float, seconds: float) -> None:
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory) -> bytes:
     """A map of the hall, saved while the robot drives on."""
-    stack = LockstepStack(tmp_path_factory.mktemp("saved"))
+    stack = LockstepStack(tmp_path_factory.mktemp("saved"), settings=QUICK)
     stack.go(7.0)
     stack.drives()
     early = unpack_map(fetch(stack), "early")
@@ -65,7 +65,7 @@ def saved(tmp_path_factory) -> bytes:
 
 
 def test_on_a_loaded_map_nothing_drives_until_the_robot_was_driven_to_be_found(saved, tmp_path):
-    stack = LockstepStack(tmp_path, ELSEWHERE)
+    stack = LockstepStack(tmp_path, ELSEWHERE, settings=QUICK)
     start(stack, MapMode.LOCALISE, saved)
     stack.lockstep.run(0.5)
     assert stack.newest["pose"].state is Localization.LOST
@@ -87,7 +87,7 @@ def test_on_a_loaded_map_nothing_drives_until_the_robot_was_driven_to_be_found(s
 
 
 def test_a_map_that_is_refused_stops_nothing(saved, tmp_path):
-    stack = LockstepStack(tmp_path)
+    stack = LockstepStack(tmp_path, settings=QUICK)
     stack.go(4.0)
     stack.drives()
     with pytest.raises(RequestRefusedError, match="checksum"):
@@ -97,7 +97,7 @@ def test_a_map_that_is_refused_stops_nothing(saved, tmp_path):
 
 
 def test_a_task_ends_with_its_map(tmp_path):
-    stack = LockstepStack(tmp_path)
+    stack = LockstepStack(tmp_path, settings=QUICK)
     stack.go(7.0)
     stack.drives()
     start(stack, MapMode.LOCALISE)

@@ -9,7 +9,7 @@ from shared.grid import OccupancyGrid
 from shared.messages import Localization, MapMode
 from shared.ros_map import write_ros_map
 from shared.types import Bools
-from tests.lockstep.stack import LockstepStack
+from tests.lockstep.stack import QUICK, LockstepStack
 from tests.lockstep.test_map_modes import ELSEWHERE, by_hand, fetch, start
 from zenav.maps.foreign_map import read_map
 from zenav.maps.map_files import coarse_cells, grid_from_update
@@ -18,7 +18,7 @@ from zenav.maps.map_files import coarse_cells, grid_from_update
 @pytest.fixture(scope="module")
 def pictures(tmp_path_factory):
     """Folders with the hall's map as pgm and yaml alone, of 5 and 10 cm a cell."""
-    stack = LockstepStack(tmp_path_factory.mktemp("drawn"))
+    stack = LockstepStack(tmp_path_factory.mktemp("drawn"), settings=QUICK)
     stack.go(7.0)
     stack.until(stack.reached, 40.0)
     grid = grid_from_update(unpack_map(fetch(stack), "the mapper's").tiles)
@@ -42,7 +42,7 @@ def driven_until_good(stack: LockstepStack) -> None:
 @pytest.mark.parametrize("step", [1, 2])
 def test_the_robot_is_found_without_a_pose_and_drives_to_a_goal(pictures, tmp_path, step):
     content = pack_map(read_map(pictures / str(step), 0.05))
-    stack = LockstepStack(tmp_path, ELSEWHERE)
+    stack = LockstepStack(tmp_path, ELSEWHERE, settings=QUICK)
     start(stack, MapMode.LOCALISE, content)
     stack.lockstep.run(0.5)
     assert stack.newest["pose"].state is Localization.LOST
@@ -54,7 +54,7 @@ def test_the_robot_is_found_without_a_pose_and_drives_to_a_goal(pictures, tmp_pa
 
 def test_mapping_goes_on_with_it(pictures, tmp_path):
     loaded = read_map(pictures / "1", 0.05)
-    stack = LockstepStack(tmp_path, ELSEWHERE)
+    stack = LockstepStack(tmp_path, ELSEWHERE, settings=QUICK)
     start(stack, MapMode.CONTINUE, pack_map(loaded))
     driven_until_good(stack)
     stack.go(2.0)

@@ -94,9 +94,9 @@ def test_it_arrives_and_nothing_is_held(tmp_path):
 )
 def test_each_laser_is_watched_although_the_other_one_measures(fault, reason, detail, within, tmp_path):
     stack = two_lasers(tmp_path)
-    stack.go(7.0)
+    stack.go(4.5)
     stack.drives(0.6)
-    break_(stack, fault, 3.0)
+    break_(stack, fault, 2.0)
     assert stack.until(lambda: not stack.commanded, 2.0) <= within * MS
     stack.lockstep.run(0.3)
     assert (stack.guard.state, stack.guard.reason) == (GuardState.HOLD, reason)
@@ -116,7 +116,7 @@ def test_the_pose_is_right_by_both_lasers_and_by_the_first_one_alone(mapping, tm
 @pytest.mark.parametrize("fault", [fault for fault in MessageFault if fault in SECOND_LASER_FAULTS])
 def test_a_second_laser_that_breaks_while_the_robot_drives_does_not_stop_the_mapper(fault, tmp_path):
     stack, poses = two_lasers(tmp_path), []
-    stack.go(7.0)
+    stack.go(4.5)
     stack.drives(0.6)
     stack.lockstep.watch("pose", poses.append)
     break_(stack, fault, 3.0)
@@ -130,7 +130,7 @@ def test_a_second_laser_that_breaks_while_the_robot_drives_does_not_stop_the_map
 def emulated(folder, recorded):
     """The delivery robot in a hall, both lasers and the board behind their ports."""
     (folder / "world.yaml").write_text(HALL + "goals: [{name: there, x: 6.0, y: 2.0}]\n")
-    scenario = load_scenario("delivery", str(folder / "world.yaml"), 1, [], Hardware.EMULATED)
+    scenario = load_scenario("delivery", str(folder / "world.yaml"), 1, list(QUICK), Hardware.EMULATED)
     services = lockstep_services(scenario)
     return Lockstep(services, recorded, wires=wires(Hardware.EMULATED, scenario.file)), scenario.file
 
@@ -142,7 +142,7 @@ def test_both_devices_are_driven_by_one_driver_and_one_that_is_pulled_out_stops_
         lockstep.watch(key, lambda message, key=key: newest.__setitem__(key, message))
     lockstep.watch("log/lidar_driver", lambda line: lines.append(line.text))
     lockstep.run(3.0)
-    lockstep.ask(requests.NAVIGATE, Navigate(lockstep.now, (Pose2(5.0, 0.0, 0.0),), 0.0, 1, True))
+    lockstep.ask(requests.NAVIGATE, Navigate(lockstep.now, (Pose2(4.0, 0.0, 0.0),), 0.0, 1, True))
     assert lockstep.run(10.0, lambda: newest["sim/truth"].v > 0.4)
     assert lockstep.ask(requests.FAULT, Break(lockstep.now, "laser_2_unplugged", 2.0, False)).accepted
     assert lockstep.run(1.0, lambda: newest["guard/status"].reason == "scan_old")

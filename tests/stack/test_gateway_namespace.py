@@ -58,11 +58,13 @@ def test_from_another_computer_only_the_gateway_is_reached_and_only_with_credent
         other = viewer_credentials(SecureFolder(tmp_path / "other" / "secure"), "x80sv")
         names = (*ALL, "dashboard", "gateway")
         with running(tmp_path, names, settings=tuple(gateway_settings(place, address))) as stack:
+            open_to_all = int(address.rpartition(":")[2])
+            stack.until(lambda: open_to_all in listening_ports(stack))
             ports = listening_ports(stack)
             assert len(ports) > len(ALL), "each service listens"
             command = outside.inside(sys.executable, "-c", FROM_OUTSIDE, outside.robot, *map(str, ports))
             reached = json.loads(subprocess.run(command, capture_output=True, check=True).stdout)
-            assert reached == [int(address.rpartition(":")[2])]
+            assert reached == [open_to_all]
 
             def subscriber(credentials):
                 return member_subscriber(outside, f"tls/{address}", credentials, f"{ROBOT.name}/**")

@@ -4,7 +4,7 @@
 import msgpack
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shared.codec import CodecError, Envelope, decode, encode, envelope_of, fields_of, schema, schema_id
@@ -24,6 +24,7 @@ def changed(payload: bytes, **fields: object) -> bytes:
 
 
 @pytest.mark.parametrize("kind", TYPES)
+@settings(max_examples=50)
 @given(data=st.data())
 def test_decoding_undoes_encoding(kind, data):
     message, envelope = data.draw(messages(kind)), data.draw(envelopes)
@@ -52,6 +53,7 @@ def come_back(before, after):
 
 
 @pytest.mark.parametrize("kind", TYPES)
+@settings(max_examples=30)
 @given(junk=st.binary(max_size=80))
 def test_random_bytes_are_a_codec_error_and_nothing_else(kind, junk):
     with pytest.raises(CodecError):

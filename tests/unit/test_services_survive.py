@@ -39,7 +39,7 @@ def test_any_valid_messages_are_survived(name):
     kind = service_class(name)
     requested = [method for _, method in handlers(kind).requests.values()]
 
-    @settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck))
+    @settings(max_examples=20, deadline=None, suppress_health_check=list(HealthCheck))
     @given(
         st.sampled_from(ROBOTS),
         st.lists(st.tuples(publications(kind), st.integers(-50, 400), st.none() | st.integers(-300, 120)), max_size=25),

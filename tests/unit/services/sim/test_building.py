@@ -9,7 +9,7 @@ from services.sim.world_loader import load_world
 from shared.config import UserError
 from tests.unit.services.sim.scenes import X80SV, simulator
 
-NUMBERS = range(12)
+NUMBERS = range(8)
 
 
 @pytest.mark.parametrize("number", NUMBERS)

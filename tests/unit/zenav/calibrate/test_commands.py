@@ -161,7 +161,7 @@ def test_the_second_laser_is_calibrated_by_its_own_scans(tmp_path, monkeypatch, 
             "sim.drive.slip=0.005", world=str(tmp_path / "hall.yaml"), robot="delivery", record=sink(writer)
         )
         for clockwise in (True, False):
-            bench.perform(square(1.2, clockwise, 0.4, 1.2, bench.robot.drive))
+            bench.perform(square(0.8, clockwise, 0.4, 1.2, bench.robot.drive))
     front, rear = load_robot("delivery").robot.lasers
     text = (ROBOTS_DIR / "delivery.yaml").read_text()
     mine.write_text(text.replace("{x: -0.38, y: -0.23, yaw: -2.35", "{x: -0.34, y: -0.20, yaw: -2.45"))
@@ -259,7 +259,7 @@ def test_turning_on_the_spot_alone_does_not_tell_the_laser_s_heading(robot, tmp_
     path = tmp_path / "spin.mcap"
     with Writer(path, about("x80")) as writer:
         bench = CalibrationBench(*ERRORS, world=str(tmp_path / "hall.yaml"), record=sink(writer))
-        for yaw in (2.0, -2.0) * 4:
+        for yaw in (2.0, -2.0) * 2:
             bench.perform(turn_to(yaw, 1.5, bench.robot.drive, bench.newest["odom"].odom_from_base))
     what, hint = complaint(capsys, "laser", path, "--robot", robot)
     assert "straight on for 0" in what
@@ -305,9 +305,7 @@ def test_the_odometry_and_the_laser_of_a_velocity_base_are_calibrated_by_its_sca
             record=sink(writer),
         )
         for clockwise in (True, False):
-            bench.perform(stand(1.5))
-            bench.perform(square(1.2, clockwise, 0.2, 1.2, bench.robot.drive))
-            bench.perform(stand(1.5))
+            bench.perform(square(0.8, clockwise, 0.2, 1.2, bench.robot.drive))
     assert _status(["calibrate", "odometry", "--recording", str(path), "--robot", str(robot), "--write"]) == 0
     assert _status(["calibrate", "laser", str(path), "--robot", str(robot), "--write"]) == 0
     tree = YAML().load(robot.read_text())

@@ -92,7 +92,7 @@ def assert_law(edited, raw, edits):
     assert_array_equal(cells_at(edited, others)[0], cells_at(raw, others)[0])
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(scans, scans, edits, edits)
 def test_erased_cells_are_free_and_walls_occupied_after_any_change_and_redrawing(before, after, first, second):
     grid = drawn(before)
@@ -109,7 +109,7 @@ def test_erased_cells_are_free_and_walls_occupied_after_any_change_and_redrawing
     assert_law(grid.all_tiles(0), drawn(before + after).all_tiles(0), second)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(scans, edits, scans)
 def test_without_its_edits_a_grid_is_what_the_laser_drew(scans, edits, later):
     grid, raw = drawn(scans), drawn(scans)
