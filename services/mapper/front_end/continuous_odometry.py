@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The odometry of the last seconds as one continuous motion, across restarts of its publisher.
+"""Odometry as one continuous motion, across restarts of its publisher; what is older has fewer samples.
 
 Poses between samples are linear, as in Cartographer's TransformInterpolationBuffer. Beyond the last one its twist
 continues, as in Cartographer's PoseExtrapolator. To leave out jumps is our own.
@@ -18,7 +18,7 @@ from shared.geometry import Pose2, arc, interpolated, wrapped
 from shared.messages import Odometry
 from shared.types import Float64s
 
-MAX_SAMPLES = 4000  # 20 s at 200 Hz
+MAX_SAMPLES = 4000  # the newest 10 s at 200 Hz are complete
 
 
 class OdometryConfig(Section):
@@ -75,8 +75,8 @@ class ContinuousOdometry:
         self.samples.append(
             OdometrySample(odometry.stamp, odometry.odom_from_base, start_from_last @ motion, odometry.v, odometry.w)
         )
-        if len(self.samples) > MAX_SAMPLES:
-            del self.samples[: MAX_SAMPLES // 2]
+        if len(self.samples) > MAX_SAMPLES:  # the motion since the last scan stays, however long the laser is silent
+            del self.samples[1 : MAX_SAMPLES // 2 : 2]
         return True
 
     def clear(self) -> None:

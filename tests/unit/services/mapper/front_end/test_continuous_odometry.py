@@ -83,9 +83,11 @@ def test_a_message_of_the_past_is_refused_and_one_of_the_same_time_replaces():
     assert len(odometry.samples) == 2
 
 
-def test_the_memory_is_bounded():
+def test_the_memory_is_bounded_and_no_motion_is_lost():
     odometry = continuous_odometry()
     for i in range(3 * MAX_SAMPLES):
         odometry.add(message(i * HUNDREDTH, Pose2(0.001 * i, 0, 0)))
     assert len(odometry.samples) <= MAX_SAMPLES
     assert odometry.start_from_base(3 * MAX_SAMPLES * HUNDREDTH).x == pytest.approx(0.001 * (3 * MAX_SAMPLES - 1))
+    for i in (0, 1, 1001, MAX_SAMPLES, 2 * MAX_SAMPLES + 1):  # also where the last scan came, minutes ago
+        assert odometry.start_from_base(i * HUNDREDTH).x == pytest.approx(0.001 * i)
