@@ -9,6 +9,7 @@ Unknown fields are ignored, so that messages can grow (shared/unknown_fields.py 
 import hashlib
 import json
 import struct
+import sys
 from collections.abc import Callable
 from dataclasses import MISSING, fields
 from enum import StrEnum
@@ -35,6 +36,7 @@ DTYPES: dict[int, np.dtype[Any]] = {
 }
 _CODES = {dtype: code for code, dtype in DTYPES.items()}
 MAX_COORDINATE, MAX_YAW = 1e6, 1000  # m, rad: a pose farther out is a fault of its sender
+MAX_NUMBER = sys.float_info.max
 
 
 class CodecError(ValueError):
@@ -51,6 +53,8 @@ class Envelope(NamedTuple):
 
 
 Check = Callable[[Any], Any]
+Axes = tuple[int | str, ...]
+"""Of each axis its length, or the name that it has in common with other axes of the message."""
 
 
 def _once_per_class(function: F) -> F:
@@ -146,18 +150,19 @@ def _envelope(value: Any) -> Envelope:
 def _checked(type_: type[M], tree: dict[str, Any]) -> M:
     values = []
     lengths: dict[str, int] = {}
-    for field, check in _checkers(type_):
-        if field.name not in tree:
-            if field.required:
-                raise CodecError(f"{field.name}: missing")
-            values.append(field.default)
+    for name, default, axes, check in _checkers(type_):
+        value = tree.get(name, MISSING)
+        if value is MISSING:
+            if default is MISSING:
+                raise CodecError(f"{name}: missing")
+            values.append(default)
             continue
         try:
-            value = check(tree[field.name])
+            value = check(value)
         except CodecError as error:
-            raise CodecError(f"{field.name}: {error}") from None
-        if field.shape is not None:
-            _check_shape(field, value, lengths)
+            raise CodecError(f"{name}: {error}") from None
+        if axes:
+            _check_shape(name, axes, value, lengths)
         values.append(value)
     message = type_(*values)
     problem = message.problem()
@@ -166,14 +171,13 @@ def _checked(type_: type[M], tree: dict[str, Any]) -> M:
     return message
 
 
-def _check_shape(field: Field, array: Any, lengths: dict[str, int]) -> None:
-    axes = field.shape.axes.split() if field.shape else []
+def _check_shape(name: str, axes: Axes, array: Any, lengths: dict[str, int]) -> None:
     if array.ndim != len(axes):
-        raise CodecError(f"{field.name}: {array.ndim} axes, not {len(axes)}")
+        raise CodecError(f"{name}: {array.ndim} axes, not {len(axes)}")
     for axis, length in zip(axes, array.shape):
-        expected = int(axis) if axis.isdigit() else lengths.setdefault(axis, length)
+        expected = lengths.setdefault(axis, length) if type(axis) is str else axis
         if length != expected:
-            raise CodecError(f"{field.name}: {length} long, not {expected}")
+            raise CodecError(f"{name}: {length} long, not {expected}")
 
 
 @_once_per_class
@@ -225,8 +229,13 @@ def packed_array(array: Any, dtype: np.dtype[Any]) -> bytes:
 
 
 @_once_per_class
-def _checkers(type_: type[Message]) -> tuple[tuple[Field, Check], ...]:
-    return tuple((field, _checker(field.kind, field.within, field.nonzero)) for field in fields_of(type_))
+def _checkers(type_: type[Message]) -> tuple[tuple[str, Any, Axes, Check], ...]:
+    """Name, default, axes and checker of each field."""
+    return tuple((f.name, f.default, _axes(f.shape), _checker(f.kind, f.within, f.nonzero)) for f in fields_of(type_))
+
+
+def _axes(shape: Shape | None) -> Axes:
+    return tuple(int(axis) if axis.isdigit() else axis for axis in shape.axes.split()) if shape else ()
 
 
 def _plain(kind: Any) -> Any:
@@ -237,11 +246,12 @@ def _checker(kind: Any, within: Within | None, nonzero: bool) -> Check:
     """Turns a decoded msgpack value into the field's value, or raises CodecError."""
     if get_origin(kind) is np.ndarray:
         dtype = wire_dtype(kind)
-        return lambda value: _array(value, dtype, within)
+        code = _CODES[dtype]
+        return lambda value: _array(value, dtype, code, within)
     if kind is Pose2:
         return _pose
     if kind is float:
-        return lambda value: _number(value, within, nonzero)
+        return _number_checker(within, nonzero)
     if kind is int:
         return lambda value: _integer(value, within)
     if get_origin(kind) is tuple:
@@ -297,6 +307,20 @@ def _enum(kind: type[StrEnum], value: Any) -> StrEnum:
         raise CodecError(f"not one of {', '.join(kind)}") from None
 
 
+def _number_checker(within: Within | None, nonzero: bool) -> Check:
+    low, high = (within.low, within.high) if within is not None else (-MAX_NUMBER, MAX_NUMBER)
+
+    def number(value: Any) -> float:
+        if type(value) is float and low <= value <= high and (value or not nonzero):  # nearly always
+            return value
+        return _number(value, within, nonzero)
+
+    return number
+
+
+_finite = _number_checker(None, nonzero=False)
+
+
 def _number(value: Any, within: Within | None, nonzero: bool) -> float:
     if type(value) is not float and type(value) is not int:
         raise CodecError(f"{type(value).__name__}, not a number")
@@ -323,17 +347,17 @@ def _integer(value: Any, within: Within | None) -> int:
 def _pose(value: Any) -> Pose2:
     if type(value) is not list or len(value) != 3:
         raise CodecError("not [x, y, yaw]")
-    x, y, yaw = (_number(v, None, False) for v in value)
+    x, y, yaw = map(_finite, value)
     if abs(x) > MAX_COORDINATE or abs(y) > MAX_COORDINATE or abs(yaw) > MAX_YAW:
         raise CodecError("farther out than any place")
     return Pose2(x, y, yaw)
 
 
-def _array(value: Any, dtype: np.dtype[Any], within: Within | None) -> Any:
+def _array(value: Any, dtype: np.dtype[Any], dtype_code: int, within: Within | None) -> Any:
     if type(value) is not bytes or len(value) < _HEADER.size:
         raise CodecError("not an array")
     code, n_axes, *lengths = _HEADER.unpack_from(value)
-    if DTYPES.get(code) != dtype or not 1 <= n_axes <= 3:
+    if code != dtype_code or not 1 <= n_axes <= 3:
         raise CodecError(f"not a {dtype.name} array")
     shape = tuple(lengths[:n_axes])
     size = 1
@@ -341,7 +365,9 @@ def _array(value: Any, dtype: np.dtype[Any], within: Within | None) -> Any:
         size *= length
     if size * dtype.itemsize != len(value) - _HEADER.size:
         raise CodecError("its bytes do not fit its shape")
-    array = np.frombuffer(value, dtype, offset=_HEADER.size).reshape(shape)
+    array = np.frombuffer(value, dtype, offset=_HEADER.size)
+    if n_axes > 1:
+        array = array.reshape(shape)
     if size:
         _check_bounds(array, within)
     return array
