@@ -100,7 +100,7 @@ class PageHub:
         self._listening: frozenset[str] = frozenset()
         self._one = ThreadPoolExecutor(1, thread_name_prefix="link")  # opening, closing and subscribing, in order
         self._asking = ThreadPoolExecutor(4, thread_name_prefix="ask")
-        self._n_asks = 0
+        self._n_asks = self._n_opening = 0
         self._closing: asyncio.TimerHandle | None = None
         self._tasks: set[asyncio.Task[None]] = set()
         self._other_at = self._refused_at = float("-inf")
@@ -113,10 +113,13 @@ class PageHub:
             self._closing.cancel()
             self._closing = None
         trouble = ""
+        self._n_opening += 1
         try:
             await self._loop.run_in_executor(self._one, self.link.connect)
         except UserError as error:
             trouble = f"{error.what}: {error.hint}"
+        finally:
+            self._n_opening -= 1
         number = next(self._numbers)
         page = self._pages[number] = PageConnection(number, self._tiles, user)
         event = {"event": "open", **_fields(user), "simulated": self.link.is_simulated, "version": self._version}
@@ -229,6 +232,8 @@ class PageHub:
 
     def _close_link(self) -> None:
         self._closing = None
+        if self._pages or self._n_opening:
+            return
         self._start(self._in_order(self.link.close))
 
     async def _in_order(self, work: Callable[[], None]) -> None:

@@ -8,7 +8,6 @@ leads here (Host), from their own address (Origin), or by a form (the token).
 import hmac
 from collections.abc import Awaitable, Callable, MutableMapping
 from dataclasses import dataclass
-from http.cookies import CookieError, SimpleCookie
 from ipaddress import ip_address
 from typing import Any, NamedTuple
 from urllib.parse import urlsplit
@@ -141,12 +140,15 @@ def host_of(headers: dict[bytes, bytes]) -> str:
 
 
 def cookie_of(headers: dict[bytes, bytes]) -> str:
-    """The token of the page's cookie; empty where there is none."""
-    try:
-        cookies = SimpleCookie(headers.get(b"cookie", b"").decode("latin-1"))
-    except CookieError:
-        return ""
-    return cookies[COOKIE].value if COOKIE in cookies else ""
+    """The token of the page's cookie; empty where there is none.
+
+    Another program on the host may have set cookies that the standard library's parser ends at.
+    """
+    for part in headers.get(b"cookie", b"").decode("latin-1").split(";"):
+        name, _, value = part.strip().partition("=")
+        if name == COOKIE:
+            return value
+    return ""
 
 
 def is_named(host: str, names: tuple[str, ...]) -> bool:

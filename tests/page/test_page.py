@@ -84,6 +84,13 @@ def test_the_robot_moves_while_the_stick_is_held_and_then_stands(pages, stack):
     pages.until(lambda: stands(stack))
 
 
+def test_a_key_while_which_no_release_is_reported_ends_the_drive(pages, stack):
+    page = pages.open()
+    drive(stack, page)
+    page.keyboard.down("Meta")  # the stick stays held
+    pages.until(lambda: stands(stack))
+
+
 @pytest.mark.parametrize("end", ["page", "context"])
 def test_a_page_that_is_closed_while_it_drives_leaves_a_robot_that_stands(pages, stack, end):
     page = pages.open()

@@ -29,6 +29,8 @@ export const teleop = new Teleop(
 );
 
 const pressed = new Set<string>();
+/** Keys while which a browser may not report that another one was released: Cmd on macOS, and the menu key. */
+const NO_KEYUP: ReadonlySet<string> = new Set(["Meta", "ContextMenu"]);
 
 export function isTextInput(target: EventTarget | null): boolean {
   if (target instanceof HTMLTextAreaElement) return true;
@@ -43,6 +45,7 @@ export function startDriving(): void {
     teleop.tick();
   }, TELEOP_PERIOD_MS);
   window.addEventListener("keydown", (event) => {
+    if (NO_KEYUP.has(event.key)) letGo();
     const plain = !event.ctrlKey && !event.metaKey && !event.altKey;
     if (!armed.peek() || !plain || !DRIVE_KEYS.has(event.code) || isTextInput(event.target)) return;
     if (event.target instanceof HTMLInputElement) return; // arrows move a slider
@@ -52,6 +55,7 @@ export function startDriving(): void {
     holdKeys();
   });
   window.addEventListener("keyup", (event) => {
+    if (NO_KEYUP.has(event.key)) letGo();
     if (pressed.delete(event.code)) holdKeys();
   });
   for (const type of ["blur", "pagehide"]) window.addEventListener(type, letGo);

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from services.dashboard.frames import FRAMES, MAX_FRAME, OPERATIONS, PAGE_KEYS
 from services.dashboard.service import FRAME_HANDLERS
 from shared.codec import Envelope, decode, encode
-from shared.messages import GuardState, PortState, Velocity, Zone, ZoneKind
+from shared.messages import EmergencyStop, GuardState, PortState, Velocity, Zone, ZoneKind
 from shared.requests import Navigate, SetZones
 from shared.roles import FRAME_ROLES, OPERATION_ROLES, Role
 from tests.unit.services.dashboard.pages import ELSEWHERE, MS, ROBOT, START, Pages
@@ -214,6 +214,15 @@ def test_a_stop_that_the_guard_does_not_confirm_is_told_to_every_page(pages):
     n = len(pages.stops)
     pages.run(1000)
     assert len(pages.stops) == n
+
+
+def test_a_release_is_repeated_with_its_first_stamp_so_that_a_newer_stop_of_another_tool_holds(pages):
+    pages.guard(GuardState.STOPPED)
+    pages.frame(1, "release")
+    pages.run(500)
+    releases = [message for _, message in pages.messages if isinstance(message, EmergencyStop)]
+    assert len(releases) > 3
+    assert len({message.stamp for message in releases}) == 1
 
 
 def test_a_stop_holds_against_a_release_that_was_not_confirmed(pages):

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page's shell: what it refuses, what a page gets of the stack, and that a slow page waits alone."""
 
+import asyncio
 import socket
 import sys
 import threading
@@ -11,11 +12,11 @@ import numpy as np
 import pytest
 from websockets.exceptions import InvalidStatus, WebSocketException
 
-from services.dashboard import web_server
+from services.dashboard import page_hub, web_server
 from services.dashboard.address import page_address
 from services.dashboard.config import DashboardConfig
 from services.dashboard.frames import MAX_FRAME
-from services.dashboard.web_app import MAX_FRAMES
+from services.dashboard.web_app import MAX_FRAMES, _first_bytes_response
 from services.dashboard.web_guard import POLICY
 from shared.codec import decode
 from shared.config import UserError
@@ -23,7 +24,7 @@ from shared.geometry import Pose2
 from shared.messages import EmergencyStop, LaserScan, LogLine, MapUpdate, Odometry, Velocity
 from shared.ports import PortConfig
 from shared.runners.transport import StackAddress
-from tests.unit.services.dashboard.browser import SOON, Browser, Served, serving
+from tests.unit.services.dashboard.browser import SOON, Browser, FakeLink, Served, serving
 
 
 @pytest.fixture
@@ -228,6 +229,42 @@ def test_a_request_is_asked_and_its_reply_comes_to_the_page_that_asked(served):
         assert (reply["accepted"], reply["data"]) == (True, {"task_id": 1})
         assert served.link.asked == ["request/cancel"]
         assert other.of("reply") == []
+
+
+def test_a_page_that_comes_while_the_link_opens_for_one_that_is_gone_keeps_the_link(served, monkeypatch):
+    monkeypatch.setattr(page_hub, "LINGER_S", 0.1)
+    waiting, may_open = threading.Event(), threading.Event()
+
+    def connect(link: FakeLink) -> None:
+        waiting.set()
+        assert may_open.wait(SOON)
+        link.is_open = True
+
+    monkeypatch.setattr(FakeLink, "connect", connect)
+    first = Browser(served.port)
+    assert waiting.wait(SOON)
+    first.socket.close()
+    with Browser(served.port) as second:
+        threading.Event().wait(0.1)  # it queues behind the first one
+        may_open.set()
+        second.first("hello")
+        threading.Event().wait(0.5)  # the link of the first one would be closed by now
+        assert served.link.is_open
+
+
+def test_of_a_recording_that_is_being_written_comes_what_was_there(tmp_path):
+    path = tmp_path / "drive ä.mcap"
+    path.write_bytes(b"x" * 200_000)
+    response = _first_bytes_response(path)
+    with path.open("ab") as file:
+        file.write(b"y" * 50_000)
+
+    async def body() -> bytes:
+        return b"".join([piece async for piece in response.body_iterator])
+
+    assert asyncio.run(body()) == b"x" * 200_000
+    assert response.headers["content-length"] == "200000"
+    assert response.headers["content-disposition"] == "attachment; filename*=utf-8''drive%20%C3%A4.mcap"
 
 
 # --- topics -----------------------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus, WebSocketExce
 from services.dashboard import page_hub
 from services.dashboard.login_store import LoginStore
 from services.dashboard.login_throttle import FREE_FAILURES
-from services.dashboard.web_guard import COOKIE
+from services.dashboard.web_guard import COOKIE, cookie_of
 from services.dashboard.web_login import MAX_BODY
 from shared.messages import Velocity
 from shared.ports import PortConfig
@@ -120,6 +120,11 @@ def test_a_cookie_that_is_no_session_opens_nothing(served, stranger, cookie):
     given = {"cookie": f"{COOKIE}={cookie}"} if cookie.isprintable() and cookie.isascii() else {}
     assert stranger.request("GET", "/session", **given)[0] == 401
     assert refused_page(stranger, headers=given) == 401
+
+
+@pytest.mark.parametrize("other", ["a=1", 'prefs={"theme":"dark"}', "title=a b", "name=J\xf6rg", "="])
+def test_a_cookie_of_another_program_on_the_host_is_in_no_way(other):
+    assert cookie_of({b"cookie": f"{other}; {COOKIE}=token".encode("latin-1")}) == "token"
 
 
 def test_the_hash_on_disk_opens_nothing(served, stranger):
