@@ -133,15 +133,19 @@ class SecureFolder:
         self.write(self.members_file, json.dumps([asdict(member) for member in members], indent=1).encode())
 
     def write(self, file: Path, data: bytes) -> None:
-        """Replaces a file of the folder at once, readable for this user only."""
-        self.path.mkdir(mode=FOLDER_MODE, parents=True, exist_ok=True)
+        """Replaces a file of the folder at once, readable for this user only. Raises UserError where it cannot."""
         partial = file.with_name(f".{file.name}.{os.getpid()}")
-        descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW, FILE_MODE)
-        with os.fdopen(descriptor, "wb") as stream:
-            stream.write(data)
-            stream.flush()
-            os.fsync(stream.fileno())
-        partial.replace(file)
+        try:
+            self.path.mkdir(mode=FOLDER_MODE, parents=True, exist_ok=True)
+            descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW, FILE_MODE)
+            with os.fdopen(descriptor, "wb") as stream:
+                stream.write(data)
+                stream.flush()
+                os.fsync(stream.fileno())
+            partial.replace(file)
+        except OSError as error:
+            hint = "run it as the user who runs the robot, or name another folder: --dir, or ZENAV_SECURE"
+            raise UserError(f"{file} cannot be written: {error.strerror}", hint) from None
 
 
 def secure_folder(given: str = "") -> SecureFolder:

@@ -44,4 +44,5 @@ class StopButton:
         if now - self._sent_at < REPEAT_NS:
             return None, False
         self._sent_at = now
-        return EmergencyStop(now, order.pressed, order.by), False
+        stamp = now if order.pressed else order.stamp  # a STOP that was pressed after the release holds
+        return EmergencyStop(stamp, order.pressed, order.by), False

@@ -180,7 +180,7 @@ class UplinkService(Service):
                 yield topics.ESTOP(self.stop_button.set(True, by, self.now))
             return
         fault = age_fault(envelope.sent, self.now, self.config.max_order_age)
-        if not fault and envelope.sent <= self.stopped_at:
+        if not fault and min(envelope.sent, order.stamp) <= self.stopped_at:
             fault = "sent before the newest STOP"
         if fault:
             self.rejections.count(topics.ESTOP.key, RejectionCause.OLD, fault)

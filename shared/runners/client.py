@@ -220,10 +220,13 @@ class Client:
     def answers(self, request: Request[Any, Any], timeout: float, service: str = "") -> bool:
         """Whether a service that answers this request is there within `timeout` s. service: where several answer."""
         querier = self.session.declare_querier(f"{self.robot}/{request.key_of(service)}")
-        is_matched = threading.Event()
-        querier.declare_matching_listener(lambda status: is_matched.set() if status.matching else None)
-        there: Any = querier.matching_status  # zenoh calls it a bool; it is a MatchingStatus
-        return there.matching or is_matched.wait(timeout)
+        try:
+            is_matched = threading.Event()
+            querier.declare_matching_listener(lambda status: is_matched.set() if status.matching else None)
+            there: Any = querier.matching_status  # zenoh calls it a bool; it is a MatchingStatus
+            return there.matching or is_matched.wait(timeout)
+        finally:
+            querier.undeclare()
 
     def _listen_key(self, key: str, topic: Topic[M], callback: Callback[M]) -> None:
         def take(payload: bytes) -> None:

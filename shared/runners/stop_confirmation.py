@@ -18,10 +18,11 @@ LATCHED = tuple(reason.code for reason in (reasons.WHEEL_STUCK, reasons.WHEEL_AS
 def confirm_stop(client: Client, press: bool, by: str) -> None:
     """Presses or releases STOP, again and again until the guard confirms. The client follows topics.GUARD.
 
-    Only a status that came after the first order confirms it. A release also ends latched faults.
+    Only a status that came after the first order confirms it. A release also ends latched faults. It keeps its first
+    stamp, so that a STOP that was pressed meanwhile holds.
     Raises UserError where the guard does not confirm within 3 s.
     """
-    began = time.monotonic()
+    began, released_at = time.monotonic(), client.now()
 
     def confirms(status: GuardStatus) -> bool:
         is_stopped = status.state is GuardState.STOPPED
@@ -29,7 +30,7 @@ def confirm_stop(client: Client, press: bool, by: str) -> None:
         return holds and client.age(topics.GUARD) < time.monotonic() - began
 
     while time.monotonic() < began + PATIENCE_S:
-        client.publish(topics.ESTOP(EmergencyStop(client.now(), press, by)))
+        client.publish(topics.ESTOP(EmergencyStop(client.now() if press else released_at, press, by)))
         if client.wait(topics.GUARD, confirms, 0.1) is not None:
             return
     status = client.latest(topics.GUARD)

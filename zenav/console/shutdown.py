@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ctrl-C and SIGTERM as a flag that loops wait on, so that everything is closed in order."""
+"""Ctrl-C, SIGTERM and a closed terminal as a flag that loops wait on, so that everything is closed in order."""
 
 import signal
 from collections.abc import Iterator
@@ -36,9 +36,14 @@ class StopFlag:
 
 @contextmanager
 def stop_on_signal() -> Iterator[StopFlag]:
-    """It is set by SIGINT and SIGTERM inside the block; the handlers of before come back after it."""
+    """It is set by SIGINT, SIGTERM and SIGHUP inside the block; the handlers of before come back after it.
+
+    SIGHUP stays ignored where it was: that is what nohup does.
+    """
     stop = StopFlag()
-    numbers = (signal.SIGINT, signal.SIGTERM)
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        numbers.append(signal.SIGHUP)
     before = {number: signal.signal(number, lambda *_: stop.set()) for number in numbers}
     try:
         yield stop

@@ -50,20 +50,24 @@ def fetch_recording(name: str, file: str, folder: Path, stack: str) -> int:
     if target.exists():
         raise UserError(f"{target} is there already", "name another folder: --out DIR")
     partial = target.with_name(target.name + MARK)
-    folder.mkdir(parents=True, exist_ok=True)
-    with Client(name, stack_address(stack)) as client, progress_bar(f"fetching {file}") as show:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with Client(name, stack_address(stack)) as client, progress_bar(f"fetching {file}") as show:
 
-        def ask(offset: int, length: int, digest: bool = False) -> RecordingPart:
-            request = FetchRecording(client.now(), file, offset, length, digest)  # dated now: an old one is refused
-            return client.ask(requests.FETCH_RECORDING, request, ANSWER_S)
+            def ask(offset: int, length: int, digest: bool = False) -> RecordingPart:
+                request = FetchRecording(client.now(), file, offset, length, digest)  # dated now: an old one is refused
+                return client.ask(requests.FETCH_RECORDING, request, ANSWER_S)
 
-        try:
-            n = fetch_into(partial, patient_ask(ask, name), lambda done, size: show(done / max(size, 1)))
-        except UserError:
-            if not partial.stat().st_size:
-                partial.unlink()
-            raise
-    partial.replace(target)
+            try:
+                n = fetch_into(partial, patient_ask(ask, name), lambda done, size: show(done / max(size, 1)))
+            except UserError:
+                if not partial.stat().st_size:
+                    partial.unlink()
+                raise
+        partial.replace(target)
+    except OSError as error:
+        hint = "free the disk and fetch it again: it goes on there; or name another folder: --out DIR"
+        raise UserError(f"{target} cannot be written: {error.strerror}", hint) from None
     sys.stdout.write(f"{target}: {n} bytes\n")
     return 0
 

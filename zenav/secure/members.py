@@ -158,10 +158,16 @@ def _issue_member(place: SecureFolder, name: str, role: MemberRole, out: Path | 
         descriptor = os.open(target, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600)
     except OSError as error:
         raise UserError(f"{target} cannot be written: {error.strerror}", "name another file: --out FILE") from None
-    with os.fdopen(descriptor, "w") as stream:
-        stream.write(credentials.text())
     kept = [replace(row, revoked=True) if row.name == name else row for row in members]
-    place.write_members([*kept, Member(name, role, common_name, until.isoformat())])
+    try:
+        with os.fdopen(descriptor, "w") as stream:
+            stream.write(credentials.text())
+        place.write_members([*kept, Member(name, role, common_name, until.isoformat())])
+    except (OSError, UserError) as error:
+        target.unlink()  # of no member: the next try finds no file in its way
+        if isinstance(error, UserError):
+            raise
+        raise UserError(f"{target} cannot be written: {error.strerror}", "name another file: --out FILE") from None
     _say(f"{target}: {name}, {role}, until {until.isoformat()}; it holds a private key: give it to {name} alone")
     _say(f"{name} does: zenav secure accept {target.name} --host HOST")
 

@@ -6,7 +6,7 @@ import runpy
 import sys
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -134,7 +134,7 @@ def up(options: UpOptions) -> None:
         client.listen(topics.HEALTH, lambda health, _: running.hear(health))
         launcher.start_all(lambda name: name in running.ready, stop.is_set)
         if not stop.is_set():
-            _give_map(plan, client)
+            _give_map(plan, client, launcher, stop)
         running.run_until(stop)
 
 
@@ -150,6 +150,8 @@ def _planned(options: UpOptions) -> _StackPlan:
     check_apart(lambda: read_sections(file))
     whole = services_for(hardware, file, meets_robots=bool(where.router or options.site))
     names = selected_services(options.only, with_page(whole, options.page), options.external)
+    if options.on_map is not None and "mapper" not in (*names, *options.external):
+        raise UserError("a map is for the mapper, which does not start", "add mapper to --only, or leave out --map")
     names += _checked_links(options, file)
     if "sim" in names:
         check_apart(lambda: simulated_world(file))
@@ -235,11 +237,17 @@ class _RunningStack:
         return len(self.ready) == len(self.launcher.commands)
 
 
-def _give_map(plan: _StackPlan, client: Client) -> None:
-    """Lets the mapper begin with the saved map, if there is one."""
+def _give_map(plan: _StackPlan, client: Client, launcher: Launcher, stop: StopFlag) -> None:
+    """Lets the mapper begin with the saved map, if there is one. Raises UserError where the mapper does not answer."""
     on_map = plan.options.on_map
     if on_map is not None and plan.saved is not None:
-        client.answers(requests.GIVE_MAP, START_LIMIT)
+        limit = time.monotonic() + START_LIMIT
+        while not client.answers(requests.GIVE_MAP, PERIOD_S):  # meanwhile a service that died is started again
+            launcher.step()
+            if stop.is_set():
+                return
+            if time.monotonic() > limit:
+                raise UserError("the mapper does not answer: it has no map", f"see its log in {launcher.logs}")
         on_map.give(client, plan.saved)
         plan.saved = None
         release_free_memory()
@@ -272,8 +280,9 @@ def _print_zenav(line: str) -> None:
 def _print_line(name: str, line: str) -> None:
     colour = 31 + (SERVICES.index(name) + 1) % 6 if name in SERVICES else 1
     prefix = f"{name:<12}"
-    sys.stderr.write(f"\033[{colour}m{prefix}\033[0m {line}\n" if sys.stderr.isatty() else f"{prefix} {line}\n")
-    sys.stderr.flush()
+    with suppress(OSError):  # a terminal that was closed: the services are ended in order all the same
+        sys.stderr.write(f"\033[{colour}m{prefix}\033[0m {line}\n" if sys.stderr.isatty() else f"{prefix} {line}\n")
+        sys.stderr.flush()
 
 
 def chosen_hardware(options: UpOptions) -> Hardware:

@@ -45,8 +45,9 @@ class Link:
         payload = encode(request, Envelope("operator", "s1", 0, sent))
         return self.event(event="ask", id=7, key=row.key, data=payload)
 
-    def estop(self, pressed, sent=NOW, session="s1"):
-        payload = encode(EmergencyStop(sent, pressed, "anna"), Envelope("operator", session, 0, sent))
+    def estop(self, pressed, sent=NOW, session="s1", stamp=None):
+        stop = EmergencyStop(sent if stamp is None else stamp, pressed, "anna")
+        payload = encode(stop, Envelope("operator", session, 0, sent))
         return self.event(event="estop", data=payload)
 
     def guard(self, state, source=""):
@@ -131,6 +132,13 @@ def test_a_late_release_of_a_computer_whose_clock_is_a_little_ahead_releases_not
     link.guard(GuardState.STOPPED)
     assert link.estop(False, NOW + NS_PER_S // 2 - 1).stops == []
     assert [stop.pressed for stop in link.estop(False, NOW + NS_PER_S // 2 + 1).stops] == [False]
+
+
+def test_a_release_that_is_repeated_after_a_newer_stop_releases_nothing():
+    link = Link().estop(True, NOW - NS_PER_S)
+    link.guard(GuardState.STOPPED)
+    assert link.estop(False, NOW, stamp=NOW - 2 * NS_PER_S).stops == []
+    assert [stop.pressed for stop in link.estop(False, NOW).stops] == [False]
 
 
 def test_an_old_release_releases_nothing():

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """STOP and its release: only what the guard says after the order confirms it."""
 
+from itertools import count
+
 import pytest
 
 from shared.config import UserError
@@ -14,12 +16,14 @@ class FakeClient:
 
     def __init__(self, before, after):
         self.heard, self.after, self.n_orders, self.arrived = before, list(after), 0, 0.0
+        self.stamps, self._clock = [], count()
 
     def now(self):
-        return 0
+        return next(self._clock)
 
     def publish(self, publication):
         self.n_orders += 1
+        self.stamps.append(publication.message.stamp)
 
     def age(self, topic):
         return 0.5 if not self.arrived else 0.0
@@ -54,6 +58,13 @@ def test_the_release_of_a_fault_is_repeated_until_the_fault_has_ended():
     client = FakeClient(STUCK, [STUCK, STUCK, HELD])
     confirm_stop(client, False, "test")
     assert client.n_orders == 3
+    assert len(set(client.stamps)) == 1, "a STOP that was pressed meanwhile is newer, and holds"
+
+
+def test_a_repeated_stop_has_a_new_stamp_each_time():
+    client = FakeClient(IDLE, [IDLE, IDLE, STOPPED])
+    confirm_stop(client, True, "test")
+    assert len(set(client.stamps)) == client.n_orders == 3
 
 
 @pytest.mark.parametrize(("press", "before"), [(True, STOPPED), (False, IDLE)])

@@ -9,7 +9,7 @@ import pytest
 from zenav.console.shutdown import StopFlag, stop_on_signal
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_the_wait_and_the_handlers_of_before_come_back(number):
     before = signal.getsignal(number)
     with stop_on_signal() as stop:
@@ -20,6 +20,17 @@ def test_a_signal_ends_the_wait_and_the_handlers_of_before_come_back(number):
         assert stop.is_set()
         assert stop.wait(50)  # from now on at once
     assert signal.getsignal(number) is before
+
+
+def test_a_hangup_that_nohup_ignores_stays_ignored():
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with stop_on_signal() as stop:
+            os.kill(os.getpid(), signal.SIGHUP)
+            assert not stop.is_set()
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def test_a_wait_without_a_signal_ends_unset():

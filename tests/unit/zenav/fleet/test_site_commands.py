@@ -78,3 +78,9 @@ def test_a_page_of_a_site_needs_a_router_and_a_recording_its_name(tmp_path):
         run_site_page("red@x80sv", "3", "", [], "INFO")
     with pytest.raises(UserError, match="no name of a recording"):
         fetch_recording("red", "../x.mcap", tmp_path, "tcp/127.0.0.1:1")
+
+
+def test_a_recording_for_a_folder_that_cannot_be_made_is_an_error(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UserError, match="cannot be written: Not a directory"):
+        fetch_recording("red", "a.mcap", tmp_path / "file" / "x", "tcp/127.0.0.1:1")

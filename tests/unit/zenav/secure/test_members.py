@@ -121,6 +121,17 @@ def test_a_file_that_exists_is_never_replaced(place, tmp_path):
     assert place.members() == []
 
 
+def test_a_folder_that_cannot_be_written_is_an_error_and_leaves_no_key(place, tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UserError, match="cannot be written"):
+        commands.init_folder("x80sv", str(tmp_path / "file"), [])
+    monkeypatch.setattr(SecureFolder, "write_members", lambda self, members: self.write(tmp_path / "file" / "x", b""))
+    out = tmp_path / "anna.pem"
+    with pytest.raises(UserError, match="cannot be written"):
+        commands.add_member("anna", MemberRole.OPERATOR, str(place.path), out, 30)
+    assert not out.exists()
+
+
 def test_keys_that_others_may_read_are_refused(place):
     os.chmod(place.authority_key, 0o644)
     with pytest.raises(UserError, match="others may read"):
