@@ -3,8 +3,9 @@
 
 from services.local_ctrl.inputs import AgesConfig
 from services.local_ctrl.local_plan import LocalPlan
+from services.local_ctrl.manoeuvres import ControlOutcome
 from shared import reasons
-from shared.messages import Goal, Path
+from shared.messages import FollowState, Goal, Path
 from shared.types import NS_PER_S
 
 
@@ -63,3 +64,14 @@ class ReceivedPlan:
             plan = LocalPlan(path.xs, path.ys, float(path.yaws[-1]))
             if self.local_plan is None or not plan.same_as(self.local_plan):
                 self.local_plan = plan
+
+
+def on_plan_before(outcome: ControlOutcome, plan: LocalPlan, goal: Goal) -> ControlOutcome:
+    """The outcome for a goal while the plan of the goal before is followed.
+
+    Its end is not the goal: from there the straight way is added to what is left, m.
+    """
+    outcome = outcome._replace(left=outcome.left + plan.end.distance(goal.map_from_goal))
+    if outcome.state in (FollowState.ARRIVED, FollowState.FAILED):
+        return outcome._replace(state=FollowState.FOLLOWING, reason="")
+    return outcome

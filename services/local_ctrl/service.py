@@ -14,7 +14,7 @@ from services.local_ctrl.inputs import ControlInputs, sensors_in_use
 from services.local_ctrl.local_costmap import LocalCostmap
 from services.local_ctrl.manoeuvres import ControlOutcome, Manoeuvre, braking
 from services.local_ctrl.path_following import PathFollower
-from services.local_ctrl.received_plan import ReceivedPlan
+from services.local_ctrl.received_plan import ReceivedPlan, on_plan_before
 from services.local_ctrl.reconfiguration import costmap_reach, reconfigure
 from services.local_ctrl.rollout import DT, Motion, limits_of
 from services.local_ctrl.state_estimate import StateEstimate
@@ -235,9 +235,9 @@ class LocalCtrlService(Service):
             return braking(motion, self.limits, FollowState.BLOCKED, reason or reasons.NO_PLAN.code)
         odom_from_map = self.inputs.odom_from_map
         outcome = self.path_follower.follow(plan, order, self.costmap, motion, odom_from_map, n_elapsed, self.now)
-        if outcome.state in (FollowState.ARRIVED, FollowState.FAILED) and not self.plan.is_for(order):
+        if not self.plan.is_for(order):
             self.path_follower.missed = False
-            outcome = outcome._replace(state=FollowState.FOLLOWING, reason="")  # the end of the plan before
+            outcome = on_plan_before(outcome, plan, order)
         return outcome
 
     def warm_up(self) -> None:

@@ -194,6 +194,17 @@ def test_the_end_of_the_old_plan_is_not_the_new_goal() -> None:
     assert off(loop.truth, further)[0] < 0.15
 
 
+def test_what_is_left_of_the_old_plan_is_not_all_that_is_left_to_a_new_goal() -> None:
+    loop = moving()
+    loop.drive(12, until=lambda loop: loop.run.statuses[-1].distance_left < 0.5)
+    further = Pose2(3.0, 2.0, 0.0)
+    loop.give(drive_goal(further, goal_id=2))
+    loop.drive(0.9)
+    told = [status.distance_left for status in loop.run.statuses if status.goal_id == 2]
+    assert len(told) > 10
+    assert min(told) >= GOAL.distance(further) - 0.1
+
+
 @pytest.mark.parametrize("reason", [reasons.PLAN_OLD, reasons.UNREACHABLE])
 def test_what_was_no_plan_to_follow_is_none_for_a_new_goal_either(reason: reasons.Reason) -> None:
     loop = moving(1.0)
