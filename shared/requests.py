@@ -74,7 +74,9 @@ class SetZones(Message):
     zones: Annotated[tuple[m.Zone, ...], Unit("1")]
 
     def problem(self) -> str | None:
-        return f"more than {m.MAX_ZONES} zones" if len(self.zones) > m.MAX_ZONES else None
+        if len(self.zones) > m.MAX_ZONES:
+            return f"more than {m.MAX_ZONES} zones"
+        return "two zones of one name" if len({zone.name for zone in self.zones}) < len(self.zones) else None
 
 
 @dataclass(frozen=True, slots=True)

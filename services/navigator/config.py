@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings of the navigator."""
 
-from pydantic import Field
+from collections import Counter
+
+from pydantic import Field, model_validator
 
 from services.navigator.exploration import ExplorationConfig
 from services.navigator.goal_attempt import GoalAttemptConfig
@@ -37,3 +39,9 @@ class NavigatorConfig(Section):
     leg: GoalAttemptConfig = GoalAttemptConfig()
     recovery: RecoveryConfig = RecoveryConfig()
     exploration: ExplorationConfig = ExplorationConfig()
+
+    @model_validator(mode="after")
+    def _has_zones_of_different_names(self) -> "NavigatorConfig":
+        if twice := [name for name, n in Counter(zone.name for zone in self.zones).items() if n > 1]:
+            raise ValueError(f"two zones of one name: {', '.join(twice)}")
+        return self

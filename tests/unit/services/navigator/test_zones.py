@@ -2,6 +2,8 @@
 """The navigator owns the zones: it publishes them, refuses goals in them, and restores them after a restart."""
 
 import numpy as np
+import pytest
+from pydantic import ValidationError
 
 from services.navigator.config import NavigatorConfig
 from services.navigator.service import NavigatorService
@@ -75,6 +77,14 @@ def test_more_zones_than_a_message_holds_are_refused_and_the_others_stay():
     (log,) = service.zones_before_the_restart(Zones(0, many))
     assert many[-1].name in log.text
     assert [z.name for z in service.zones.zones] == ["stairs", *(z.name for z in many[:-1])]
+
+
+def test_two_zones_of_one_name_are_refused():
+    stairs = NamedZoneConfig(name="stairs", corners=SQUARE)
+    with pytest.raises(ValidationError, match="two zones of one name: stairs"):
+        NavigatorConfig(zones=(stairs, NamedZoneConfig(name="cellar", corners=SQUARE), stairs))
+    assert SetZones(S, (zone(), zone(speed=0.3))).problem() == "two zones of one name"
+    assert SetZones(S, (zone(), zone("hall"))).problem() is None
 
 
 def test_a_route_through_a_keep_out_zone_is_refused_with_the_pose_and_the_present_task_goes_on():
