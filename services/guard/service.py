@@ -61,7 +61,8 @@ class GuardService(Service):
         self.odometry_buffer = OdometryBuffer(drive)
         top_speed = max(drive.max_speed, drive.max_reverse_speed)
         stopping_distance = top_speed * (config.field.reaction + top_speed / drive.max_braking)
-        self.obstacles = Obstacles(config.obstacles, robot, robot.circumscribed_radius + stopping_distance + 0.5)
+        beyond = max(0.5, config.field.stop_margin + config.field.side_margin + 0.1)
+        self.obstacles = Obstacles(config.obstacles, robot, robot.circumscribed_radius + stopping_distance + beyond)
         self.limiter = VelocityLimiter(robot, config.field, self.inputs, self.odometry_buffer, self.obstacles)
         self.decision = GuardDecision(GuardState.IDLE, reasons.STARTING.code)
         self.published: tuple[GuardState, str, str] | None = None  # state, source and reason of the last status

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.guard.config import GuardConfig
+from services.guard.protective_field import FieldConfig
 from services.guard.service import GuardService
 from services.guard.stop_conditions import STOPS
 from shared import topics
@@ -843,6 +844,15 @@ def test_teleop_is_guarded_too():
     drive.run(5.0)
     assert drive.velocity == (0, 0)
     assert drive.closest > 0.04
+
+
+def test_a_wall_within_a_wide_stop_margin_stops_a_small_robot():
+    burger, wide = load_robot("turtlebot3_burger").robot, FieldConfig(stop_margin=1.0)
+    drive = GuardDrive(burger, wall(0.9), GuardConfig(field=wide))
+    drive.nav = (burger.drive.max_speed, 0.0)
+    drive.run(0.5)
+    assert drive.velocity[0] == 0
+    assert drive.decision == (GuardState.HOLD, "obstacle")
 
 
 def before_a_wall():
