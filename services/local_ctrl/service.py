@@ -214,9 +214,8 @@ class LocalCtrlService(Service):
         """The command and the state of the goal. n_elapsed: steps of DT since the last tick."""
         if (order := self.order) is None or (isinstance(order, Goal) and not order.active):
             return ControlOutcome(0.0, 0.0, FollowState.IDLE)
-        stop = self.inputs.stale_input(self.now, self.rejections)
-        if stop is None and isinstance(order, Goal):
-            stop = self.inputs.localization_fault(self.now) or self.path_follower.traffic.fault(self.now)
+        lost = self.inputs.localization_fault(self.now) if isinstance(order, Goal) else None
+        stop = self.inputs.stale_input(self.now, self.rejections) or lost or self.path_follower.traffic.fault(self.now)
         if stop is not None:
             self.path_follower.reset()
             return ControlOutcome(0.0, 0.0, FollowState.BLOCKED, stop.code)

@@ -106,11 +106,13 @@ class StatusCache:
         return told[0].waits_for
 
     def _waiting_reason(self, now: int) -> Reason | None:
-        """Whether the robot waits for other robots, or makes way for them."""
+        """Whether the robot waits for other robots, makes way for them, or does not hear of them."""
         follow = self._follow
-        if follow is None or abs(now - follow[1]) > _MAX_FOLLOW_AGE_NS or not self.waited_for(now):
+        if follow is None or abs(now - follow[1]) > _MAX_FOLLOW_AGE_NS:
             return None
-        return REASONS[follow[0].reason] if follow[0].reason in _FOR_ROBOTS else None
+        if follow[0].reason == reasons.TRAFFIC_OLD.code:
+            return reasons.TRAFFIC_OLD
+        return REASONS[follow[0].reason] if follow[0].reason in _FOR_ROBOTS and self.waited_for(now) else None
 
     def contact_reason(self, now: int) -> Reason | None:
         """The reason of a contact that holds the robot, which backing up ends; None without one."""

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from services.local_ctrl.service import LocalCtrlConfig, LocalCtrlService
+from services.traffic.outgoing import no_other_robot
 from shared import messages as m
 from shared import reasons, topics
 from shared.config import load_robot
@@ -305,6 +306,16 @@ def test_backing_up_stops_before_what_lies_in_the_blind_sector_and_was_seen_befo
     assert run.commands[-1].reason == reasons.BLOCKED.code
     assert loop.truth.x > 4.2
     assert run.least_clearance > 0.02
+
+
+def test_no_recovery_moves_a_robot_that_does_not_hear_of_the_others() -> None:
+    loop = ControlLoop(ROBOT, TinyWorld(8, 4), Pose2(4, 2)).give(recovery(RecoveryKind.BACK_UP, 0.3))
+    loop.send("right_of_way", replace(no_other_robot(loop.now - 2 * NS_PER_S), active=True))
+    run = loop.drive(1)
+    command, status = last(loop)
+    assert set(run.v) == {0.0}
+    assert (command.v, command.reason) == (0, reasons.TRAFFIC_OLD.code)
+    assert (status.state, status.reason) == (FollowState.BLOCKED, reasons.TRAFFIC_OLD.code)
 
 
 @pytest.mark.parametrize("ultrasonic", [True, False])

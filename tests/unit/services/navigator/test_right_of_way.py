@@ -84,3 +84,16 @@ def test_a_robot_on_the_way_to_a_refuge_passes_no_pose_of_its_route():
     bench.pose = Pose2(2.8, 0.0)
     wait(bench, 3, reasons.GIVING_WAY, FollowState.FOLLOWING)
     assert bench.goal.map_from_goal.x == 3.0
+
+
+def test_silence_of_traffic_is_waited_for_without_recoveries_until_the_hold_is_too_long():
+    bench = NavigatorBench(NavigatorConfig(leg=GoalAttemptConfig(hold_time=25.0)))
+    bench.go(Pose2(3.0, 0.0))
+    tell(bench)
+    bench.follow_state, bench.follow_reason = FollowState.BLOCKED, reasons.TRAFFIC_OLD.code
+    bench.run(20)
+    assert (bench.status.state, bench.status.reason) == (NavState.NAVIGATING, reasons.TRAFFIC_OLD.code)
+    assert bench.recoveries == []
+    assert bench.status.n_recoveries == 0
+    bench.run(6)
+    assert (bench.status.state, bench.status.reason) == (NavState.FAILED, reasons.TRAFFIC_OLD.code)
