@@ -99,10 +99,15 @@ def keep_outs(zones: Zones) -> tuple[Float64s, ...]:
     return tuple(polygon_of(zone) for zone in zones.zones if zone.kind is ZoneKind.KEEP_OUT)
 
 
-def forbidding(zones: tuple[Zone, ...], pose: Pose2) -> Zone | None:
-    """The keep-out zone in which a pose lies, if any."""
-    barred = (zone for zone in zones if zone.kind is ZoneKind.KEEP_OUT)
-    return next((zone for zone in barred if contains(polygon_of(zone), position(pose))[0]), None)
+def forbidding(zones: tuple[Zone, ...], poses: tuple[Pose2, ...]) -> list[Zone | None]:
+    """The first keep-out zone in which each pose lies, if any. Each zone is tested once: a route may be long."""
+    points = np.array([(pose.x, pose.y) for pose in poses], float).reshape(-1, 2)
+    found: list[Zone | None] = [None] * len(poses)
+    for zone in zones:
+        if zone.kind is ZoneKind.KEEP_OUT:
+            for i in np.flatnonzero(contains(polygon_of(zone), points)).tolist():
+                found[i] = found[i] or zone
+    return found
 
 
 class KeepOut:

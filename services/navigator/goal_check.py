@@ -88,8 +88,8 @@ def refused_pose(
     poses before.
     """
     doubts = needs_check(grid, limits, inscribed_radius, poses) if limits is not None else np.zeros(len(poses), bool)
-    for number, pose in enumerate(poses, 1):
-        if zone := forbidding(zones, pose):
+    for number, (pose, zone) in enumerate(zip(poses, forbidding(zones, poses), strict=True), 1):
+        if zone is not None:
             return reasons.GOAL_KEEP_OUT, f"pose {number} of {len(poses)} is in {zone.name}"
         if limits is None or not doubts[number - 1]:
             continue

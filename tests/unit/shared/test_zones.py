@@ -88,8 +88,10 @@ def test_without_a_speed_it_is_kept_out_of_and_a_percentage_is_a_share():
     assert zone().kind is ZoneKind.KEEP_OUT
     assert (zone(speed=0.3).kind, zone(speed=0.3).speed, zone(speed=0.3).share) == (ZoneKind.SLOW, 0.3, 1.0)
     assert (zone(percent=50).kind, zone(percent=50).share) == (ZoneKind.SLOW, 0.5)
-    assert forbidding((zone(speed=0.3), zone("b")), Pose2(3, 2)).name == "b"
-    assert forbidding((zone(speed=0.3), zone("b")), Pose2(5, 2)) is None
+    zones = zone(speed=0.3), zone("b"), zone("c")
+    assert forbidding(zones, (Pose2(3, 2), Pose2(5, 2))) == [zones[1], None]
+    assert forbidding((), (Pose2(3, 2),)) == [None]
+    assert forbidding(zones, ()) == []
 
 
 def test_a_robot_in_a_keep_out_zone_may_leave_it_and_it_holds_again_when_all_of_the_robot_is_out():

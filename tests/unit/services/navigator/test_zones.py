@@ -6,10 +6,13 @@ import pytest
 from pydantic import ValidationError
 
 from services.navigator.config import NavigatorConfig
+from services.navigator.goal_check import refused_pose
 from services.navigator.service import NavigatorService
 from shared import reasons, topics
 from shared.geometry import Pose2
+from shared.grid import OccupancyGrid
 from shared.messages import MAX_ZONES, NavState, Path, Zones
+from shared.polygon import contains
 from shared.requests import Navigate, SetZones
 from shared.zones import NamedZoneConfig, ZoneConfig
 from tests.strategies import faults
@@ -96,6 +99,16 @@ def test_a_route_through_a_keep_out_zone_is_refused_with_the_pose_and_the_presen
     assert reply.detail == "pose 2 of 2 is in cellar"
     bench.run(1)
     assert (bench.status.state, bench.goal.map_from_goal) == (NavState.NAVIGATING, Pose2(6.0, 2.0))
+
+
+def test_of_a_long_route_each_zone_is_tested_once(monkeypatch):
+    calls = []
+    monkeypatch.setattr("shared.zones.contains", lambda *given: calls.append(given) or contains(*given))
+    poses = (*(Pose2(0.01 * i, 5.0) for i in range(500)), Pose2(3.0, 0.0))
+    zones = zone("stairs", ((9.0, 9.0), (10.0, 9.0), (10.0, 10.0))), zone(), zone("hall", speed=0.3)
+    found = refused_pose(poses, OccupancyGrid(), None, X80.inscribed_radius, 0.15, zones, map_grows=True)
+    assert found == (reasons.GOAL_KEEP_OUT, "pose 501 of 501 is in cellar")
+    assert len(calls) <= len(zones)
 
 
 def test_a_goal_that_becomes_forbidden_under_way_ends_the_task_with_the_reason_and_without_recoveries():
