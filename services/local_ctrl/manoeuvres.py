@@ -70,6 +70,8 @@ class Manoeuvre:
             return braking(motion, limits, FollowState.ARRIVED)
         if self.recovery.kind is RecoveryKind.TURN and not limits.spins:
             return braking(motion, limits, FollowState.FAILED, reasons.NO_TURN_IN_PLACE.code)
+        if self.recovery.kind is RecoveryKind.BACK_UP and self.recovery.amount > 0 and limits.v_min >= 0:
+            return braking(motion, limits, FollowState.FAILED, reasons.NO_REVERSE.code)
         x, y, yaw = motion.pose.x - costmap.x0, motion.pose.y - costmap.y0, motion.pose.yaw
         scene = costmap.field, costmap.occupied, costmap.resolution, x, y, yaw
         if self.recovery.kind is RecoveryKind.BACK_UP:

@@ -335,12 +335,15 @@ def test_only_the_chosen_range_sensors_mark_obstacles(ultrasonic: bool, infrared
             assert bool(costmap.echo_at[row, column]) == chosen[sensor.kind]
 
 
-def test_a_robot_that_must_not_reverse_does_not_back_up() -> None:
-    robot = ROBOT.model_copy(update={"drive": ROBOT.drive.model_copy(update={"max_reverse_speed": 0.0})})
-    loop = ControlLoop(robot, TinyWorld(8, 4), Pose2(4, 2)).give(recovery(RecoveryKind.BACK_UP, 0.3))
-    run = loop.drive(1)
-    assert run.statuses[-1].reason == reasons.BLOCKED.code
+@pytest.mark.parametrize("drive_s", [0.0, 0.3])
+def test_a_robot_that_must_not_reverse_says_so_at_once_and_may_still_go_ahead(drive_s: float) -> None:
+    robot = ROBOT.model_copy(update={"drive": ROBOT.drive.model_copy(update={"max_reverse_speed": drive_s})})
+    config = LocalCtrlConfig(max_reverse_speed=0.0)
+    loop = ControlLoop(robot, TinyWorld(8, 4), Pose2(4, 2), config).give(recovery(RecoveryKind.BACK_UP, 0.3))
+    run = loop.drive(1, until=lambda loop: loop.run.statuses[-1].reason != reasons.SCAN_OLD.code)
+    assert (run.statuses[-1].state, run.statuses[-1].reason) == (FollowState.FAILED, reasons.NO_REVERSE.code)
     assert set(run.v) == {0.0}
+    assert loop.give(recovery(RecoveryKind.BACK_UP, -0.2, order_id=2)).drive(5).reached
 
 
 @pytest.mark.parametrize("amount", [1.57, -2.5, 2 * pi, -0.2])
