@@ -241,7 +241,7 @@ class Navigation:
                 self.recovery = ""
             if pose := self.pose_tracker.map_from_base:
                 self.recoveries.progressed(pose, attempt.gained)
-        contact = self.statuses.contact_reason(now)
+        contact = self.statuses.contact_reason(self.order, now)
         next_action = attempt.next_action(plan, follow, self.attempt_config)
         verdict, reason = (AttemptAction.RECOVER, contact) if contact else next_action
         if verdict is AttemptAction.RECOVER:

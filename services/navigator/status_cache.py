@@ -114,8 +114,13 @@ class StatusCache:
             return reasons.TRAFFIC_OLD
         return REASONS[follow[0].reason] if follow[0].reason in _FOR_ROBOTS and self.waited_for(now) else None
 
-    def contact_reason(self, now: int) -> Reason | None:
-        """The reason of a contact that holds the robot, which backing up ends; None without one."""
+    def contact_reason(self, order: Order, now: int) -> Reason | None:
+        """The reason of a contact that holds the robot, which backing up ends; None without one.
+
+        None just after the order, too: its way may lead away from the contact, as soon as local control has it.
+        """
+        if abs(now - order.stamp) < _MAX_ANSWER_NS:
+            return None
         guard = self.recent_guard(now)
         held = guard is not None and guard.state is GuardState.HOLD and guard.source != "teleop"
         return REASONS[guard.reason] if guard is not None and held and guard.reason in _CONTACTS else None

@@ -570,3 +570,18 @@ def test_a_task_s_own_tolerances_count_and_without_them_the_configured_ones():
     bench.run(20, until=ENDS)
     assert bench.pose.distance(FAR) <= 0.05
     assert Navigate(0, (FAR,), 0.0, 1, True, (), 0.001).problem()
+
+
+@pytest.mark.parametrize(("seconds", "n_recoveries"), [(0.5, 0), (2.0, 1)])
+def test_a_goal_given_in_contact_backs_up_only_where_local_control_does_not_lead_away(seconds, n_recoveries):
+    bench = NavigatorBench()
+    bench.guarded(GuardState.HOLD, reasons.BUMPER.code)
+    bench.run(1)
+    bench.go(Pose2(3.0, 0.0))
+    begun = bench.now
+    while bench.now - begun < seconds * S and not bench.recoveries:
+        bench.guarded(GuardState.HOLD, reasons.BUMPER.code)
+        bench.step()
+    bench.guarded(GuardState.ACTIVE, reasons.LEAVING_CONTACT.code)
+    bench.run(1)
+    assert [order.kind for order in bench.recoveries] == n_recoveries * [RecoveryKind.BACK_UP]
