@@ -36,8 +36,18 @@ class FieldConfig(Section):
     side_margin: float = Field(0.02, ge=0, le=0.5, description="m by which the footprint is grown on all sides")
     self_mask: float = Field(0.03, ge=0, le=1, description="m: points deeper inside the footprint belong to the robot")
     min_speed: float = Field(0.02, ge=0, le=0.2, description="m/s below which a slowed robot stops")
-    creep_speed: float = Field(0.15, ge=0, le=0.5, description="m/s up to which `side_margin` need not be free")
-    creep_turn_rate: float = Field(0.5, ge=0, le=2, description="rad/s up to which `side_margin` need not be free")
+    creep_speed: float = Field(
+        0.15,
+        gt=0,
+        le=0.5,
+        description="m/s up to which `side_margin` need not be free; also of leaving a contact and of the override",
+    )
+    creep_turn_rate: float = Field(
+        0.5,
+        gt=0,
+        le=2,
+        description="rad/s up to which `side_margin` need not be free; also of leaving a contact and of the override",
+    )
     blind_speed: float = Field(
         0.15, gt=0, le=2, description="m/s in a direction without a view of the laser or a range sensor"
     )

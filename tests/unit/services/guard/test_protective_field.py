@@ -6,6 +6,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from pydantic import ValidationError
 
 from services.guard.protective_field import (
     TOUCHING_M,
@@ -233,3 +234,9 @@ def test_a_slowed_robot_stands_rather_than_crawls(distance, share):
 
 def test_a_command_slower_than_slowest_is_left_alone():
     assert safe_speed(front(0.5), X80.corners, 0.005, 0.0, DRIVE, FIELD).share == 1
+
+
+@pytest.mark.parametrize("name", ["creep_speed", "creep_turn_rate"])
+def test_without_a_creep_speed_no_contact_could_be_left(name):
+    with pytest.raises(ValidationError, match="greater than 0"):
+        FieldConfig.model_validate({name: 0.0})
