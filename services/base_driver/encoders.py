@@ -9,6 +9,7 @@ from services.base_driver.kinematics import count_difference, max_wheel_speed, w
 from shared.config import Drive, Section
 from shared.messages import BoardReport, WheelState
 
+RESTART_M = 0.05  # m of a rim; counters that are closer to 0 after a pause began there again
 MAX_ANGLE_RAD = 900_000.0  # rad; below WheelState's bound of 1e6; then a new epoch begins (77 km of an X80SV)
 
 
@@ -32,8 +33,9 @@ class EncoderConfig(Section):
 class Encoders:
     """Integrates the counters of successive reports to wheel angles `left`, `right` (rad).
 
-    A step beyond the wheels' maximum speed is a jump, of a restarted board or a broken counter. `n_jumps` counts it,
-    the angles stay, and counting continues from the new reading. A step of half the counter's range is ambiguous.
+    A step beyond the wheels' maximum speed is a jump, of a restarted board or a broken counter. So is a step back to
+    about 0 over a pause longer than `longest_step`. `n_jumps` counts it, the angles stay, and counting continues from
+    the new reading. A step of half the counter's range is ambiguous.
     """
 
     def __init__(self, config: EncoderConfig, drive: Drive) -> None:
@@ -64,14 +66,23 @@ class Encoders:
         left = count_difference(before.left_counts, after.left_counts, self.drive.encoder_wrap)
         right = count_difference(before.right_counts, after.right_counts, self.drive.encoder_wrap)
         left_angle, right_angle = wheel_angles(left, right, self.drive)
-        elapsed = min((after.stamp - before.stamp) * 1e-9, self.config.longest_step)
+        pause = (after.stamp - before.stamp) * 1e-9
+        elapsed = min(pause, self.config.longest_step)
         # a board that stamps on arrival shows one report period of jitter
         max_angle = self.config.speed_margin * max_wheel_speed(self.drive) * (elapsed + 0.02)
-        if max(abs(left_angle), abs(right_angle)) > max_angle:
+        is_restart = pause > elapsed and self._is_at_zero(after) and not self._is_at_zero(before)
+        if is_restart or max(abs(left_angle), abs(right_angle)) > max_angle:
             self.n_jumps += 1
             return
         self.left += left_angle
         self.right += right_angle
+
+    def _is_at_zero(self, report: BoardReport) -> bool:
+        """Whether both counters are about 0, as after the board's start."""
+        wrap = self.drive.encoder_wrap
+        counts = count_difference(0, report.left_counts, wrap), count_difference(0, report.right_counts, wrap)
+        left, right = wheel_angles(*counts, self.drive)
+        return max(abs(left) * self.drive.left_radius, abs(right) * self.drive.right_radius) < RESTART_M
 
     def _state(self, epoch: int, report: BoardReport) -> WheelState:
         left_speed, right_speed = wheel_angles(report.left_speed, report.right_speed, self.drive)

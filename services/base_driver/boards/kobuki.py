@@ -39,13 +39,12 @@ class KobukiBoard(WheelDevice):
     def __init__(self, config: SerialBoardConfig, robot: Robot) -> None:
         super().__init__(config, robot)
         self._reader = PacketReader(HEADER, range(3, 256), lambda packet: xor(packet[2:]) == 0, self.counts)
-        self._last: tuple[int, int] | None = None  # board's ms, and ns when they came
+        self._last: tuple[int, int] | None = None  # board's ms, and ns when they came; the port may have closed since
         self._clock_ms = 0  # the board's clock, unwrapped
 
     def forget(self) -> None:
         super().forget()
         self._reader.forget()
-        self._last = None
 
     def start_command(self) -> bytes:
         return control_packet(0.0, 0.0)
@@ -71,7 +70,7 @@ class KobukiBoard(WheelDevice):
         step = 0
         if self._last is not None:
             step = (ms - self._last[0]) % WRAP_MS
-            if step > (now - self._last[1]) * 1e-6 + MAX_CLOCK_STEP_MS:
+            if is_restart(step, (now - self._last[1]) * 1e-6):
                 received.restarted = True
                 super().forget()
         self._clock_ms += step
@@ -83,6 +82,17 @@ class KobukiBoard(WheelDevice):
         received.contacts = BoardContacts(bit_names(bumper, BUMPERS), cliffs)
         received.report = self.report(stamp, left, right, self._clock_ms * 1e-3)
         received.n_reports += 1
+
+
+def is_restart(step: int, elapsed: float) -> bool:
+    """Whether the board's clock stepped (ms, modulo WRAP_MS) as none does that ran on for `elapsed` ms.
+
+    Bytes may come late, so a small step is no restart. After half of WRAP_MS only a step that fits is none.
+    """
+    ahead = step - elapsed
+    if elapsed > WRAP_MS / 2:
+        ahead = abs((ahead + WRAP_MS / 2) % WRAP_MS - WRAP_MS / 2)
+    return ahead > MAX_CLOCK_STEP_MS
 
 
 def control_packet(v: float, w: float) -> bytes:

@@ -47,12 +47,13 @@ class VelocityBoard(WheelDevice):
         super().__init__(config, robot)
         self._reader = LineFramer()
         self._sequence = 0
-        self._last: tuple[int, int] | None = None  # sequence and ms of the last line
+        self._last_sequence: int | None = None  # of the last line since the port opened
+        self._last_ms = 0  # of the last line, also from before the port closed: a smaller one is a restart
 
     def forget(self) -> None:
         super().forget()
         self._reader.forget()
-        self._last = None
+        self._last_sequence = None
 
     def start_command(self) -> bytes:
         return self._velocity(0.0, 0.0)
@@ -88,12 +89,12 @@ class VelocityBoard(WheelDevice):
             return False
         if len(fields) != N_FIELDS.get(kind, 0):
             return False
-        if self._last is not None and ms < self._last[1]:
+        if ms < self._last_ms:
             received.restarted = True
             super().forget()
-        elif self._last is not None and not is_newer(sequence, self._last[0]):
+        elif self._last_sequence is not None and not is_newer(sequence, self._last_sequence):
             return False
-        self._last = sequence, ms
+        self._last_sequence, self._last_ms = sequence, ms
         self.counts.n_good += 1
         received.contacts = board_contacts(flags)
         received.yaw_rate = yaw_rate if yaw_rate is None or abs(yaw_rate) <= MAX_YAW_RATE else None

@@ -43,6 +43,17 @@ def test_a_longer_gap_allows_no_more():
     assert turned(report(1, 0, 0), report(61, most + 1, 0)).n_jumps == 1
 
 
+def test_counters_that_are_back_at_zero_after_a_pause_are_a_jump_and_not_motion():
+    n = 300  # 0.2 m
+    assert turned(report(1, -n, n), report(1.6, 0, 0)).n_jumps == 1
+    for reports in (
+        (report(1, -n, n), report(1.4, 0, 0)),  # no pause
+        (report(1, -n, n), report(1.6, 0, n)),
+        (report(1, -20, 20), report(1.6, 0, 0)),
+    ):
+        assert turned(*reports).n_jumps == 0
+
+
 def test_counting_goes_on_after_a_jump():
     encoders = turned(report(1, 0, 0), report(1.02, 9000, 9000), report(1.04, 8990, 9010))
     assert (encoders.left, encoders.right) == pytest.approx((10 * RAD, 10 * RAD))

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What holds for each board: it drives, is counted right, and whatever breaks on its line stops it with its reason."""
 
+from itertools import pairwise
 from math import pi
 
 import numpy as np
@@ -14,7 +15,7 @@ from services.sim.hardware.electronics import BodyTruth
 from services.sim.hardware.faults import Fault
 from shared import topics
 from shared.config import UserError
-from shared.messages import EmergencyStop
+from shared.messages import EmergencyStop, PortState
 from tests.held_bytes import held_bytes
 from tests.unit.services.base_driver.boards.wired import MODELS, MS, WRAPS, WiredBoard, robot_of
 
@@ -27,6 +28,19 @@ every_new_board = pytest.mark.parametrize("model", NEW)
 
 def driving(model, v=0.3, w=0.0, **arguments):
     return WiredBoard(model, **arguments).run(0.2, 0.0).run(1.0, v, w)
+
+
+def away(wired, seconds, restarts):
+    """Its port is away for so long, meanwhile the board loses its power or stands."""
+    wired.take(wired.service.port(PortState(wired.now, "board", False, "gone")))
+    wired.is_connected = False
+    wired.run(0.3)
+    wired.service.now += round(seconds * 1e9) - 300 * MS
+    if restarts:
+        wired.board.electronics.restart()
+    wired.is_connected = True
+    wired.take(wired.service.port(PortState(wired.now, "board", True, "")))
+    return wired.run(0.5)
 
 
 def agree(wired):
@@ -131,6 +145,34 @@ def test_a_board_that_was_restarted_stands_then_drives_and_has_moved_nowhere(mod
     is_new_epoch = wheels.epoch > wired.out[0][1].stamp + 500 * MS
     expected = odometer[0] - before[0] if is_new_epoch else odometer[0]
     assert wheels.left == pytest.approx(expected, abs=0.35)
+
+
+@every_new_board
+def test_a_board_that_lost_its_power_while_its_port_was_away_has_moved_nowhere(model):
+    wired = away(driving(model, left=0.0, right=0.0), 1.0, restarts=True)
+    wheels = [message for key, message in wired.out if key == topics.WHEELS.key]
+    assert len(wheels) > 60
+    for before, after in pairwise(wheels):
+        assert after.epoch > before.epoch or after.left >= before.left
+    wired.run(0.2, 0.0).run(0.5, 0.3)
+    assert (wired.status().fault, min(wired.rims)) == ("", pytest.approx(0.3, abs=0.01))
+
+
+@pytest.mark.parametrize("model", ["velocity", "kobuki"])
+@pytest.mark.parametrize("seconds", [1.0, 50.0, 70.0, 200.0])
+def test_a_port_that_was_away_begins_an_epoch_only_if_the_board_was_restarted(model, seconds):
+    for restarts in (False, True):
+        wired = driving(model, left=0.0, right=0.0).run(0.3, 0.0)
+        first = wired.last(topics.WHEELS).epoch
+        away(wired, seconds, restarts)
+        assert (wired.last(topics.WHEELS).epoch > first) is restarts
+        assert wired.service.encoders.n_jumps == 0
+
+
+def test_a_pose_board_that_lost_its_power_while_its_port_was_away_begins_an_epoch():
+    wired = driving("velocity", kind="velocity")
+    first = wired.last(topics.BASE_ODOMETRY).epoch
+    assert away(wired, 1.0, restarts=True).last(topics.BASE_ODOMETRY).epoch > first
 
 
 @every_board
