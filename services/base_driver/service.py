@@ -83,6 +83,7 @@ class BaseDriverService(Service):
 
     @on(topics.CMD_VEL)
     def command(self, command: Velocity) -> Out:
+        yield from self._status_if_changed()  # a fault that has ended since the tick: this command waits for zero
         if self.watchdog.offer(command, self.now):
             yield from self._motor_commands()  # no command waits for the tick
 
@@ -94,13 +95,11 @@ class BaseDriverService(Service):
         """
         if stop.pressed:  # the publisher's clock may be ahead: the stop counts from its arrival at the latest
             self.pressed_stop = replace(stop, stamp=min(stop.stamp, self.now))
+            yield from self._motor_commands()
         elif self.pressed_stop is None or not precedes(stop.stamp, self.pressed_stop.stamp, self.now):
-            if self.pressed_stop is not None or self.diagnosis.wheel_faults.code:
-                self.watchdog.disarm(self.now)
             self.pressed_stop = None
             if supersedes(stop.stamp, self.diagnosis.wheel_faults.at, self.now):
                 self.diagnosis.release()
-        yield from self._motor_commands()
         yield from self._status_if_changed()
 
     @on(topics.BASE_STATUS)
@@ -236,14 +235,14 @@ class BaseDriverService(Service):
 
     def _status_if_changed(self) -> Out:
         fault = self.fault
-        if self.published is not None and self.published[0] and not fault:
-            self.watchdog.disarm(self.now)  # the first command after a fault is zero
         if self.published != (fault, self.is_linked, not self.watchdog.armed):
             yield self._status()
         if fault and any(self.wheel_command):
             yield from self._motor_commands()
 
     def _status(self) -> Publication:
+        if self.published is not None and self.published[0] and not self.fault:
+            self.watchdog.disarm(self.now)  # the first command after a fault is zero
         self.published = state = self.fault, self.is_linked, not self.watchdog.armed
         refused = self.watchdog.refused
         return topics.BASE_STATUS(self.diagnosis.status(self.now, self.report, state, self._bad_stamps(), refused))

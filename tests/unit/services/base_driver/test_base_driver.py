@@ -597,6 +597,45 @@ def test_a_board_that_restarts_is_no_fault_and_its_jump_is_forgotten_after_a_min
     assert bench.last(topics.BASE_STATUS).detail == ""
 
 
+def jumping():
+    """A robot that was driving, and stands because its encoders jump."""
+    bench, rng = DriverBench().run(1.0, 0.4), np.random.default_rng(1)
+    for _ in range(6):
+        bench.run(0.02, 0.4, reports=False)
+        wild(bench, rng)
+    bench.run(0.02, 0.4)
+    assert (bench.service.fault, bench.motors()) == ("encoders_jump", (0, 0))
+    return bench
+
+
+def test_a_release_while_the_encoders_jump_moves_nothing():
+    bench = jumping()
+    bench.command(0.3)
+    n = len(bench.out)
+    releasing_ends_the_fault_and_moves_nothing(bench)
+    first_zero = next(i for i, (_, m) in enumerate(bench.out[n:], n) if isinstance(m, BaseStatus) and not m.waits)
+    assert all(m.left == m.right == 0 for key, m in bench.out[n:first_zero] if key == topics.MOTORS.key)
+
+
+@pytest.mark.parametrize("publishes_status", [False, True])
+def test_a_command_between_the_end_of_a_fault_and_the_tick_waits_for_zero(publishes_status):
+    bench = jumping()
+    bench.run(0.96, 0.3)
+    assert bench.service.fault == "encoders_jump"
+    while bench.service.fault:
+        bench.service.now += 5 * MS
+    if publishes_status:
+        bench.call(bench.service.publish_status())
+    bench.command(0.3)
+    assert bench.motors() == (0, 0)
+    status = bench.last(topics.BASE_STATUS)
+    assert (status.fault, status.waits) == ("", True)
+    bench.run(0.5, 0.3)
+    assert bench.motors() == (0, 0)
+    bench.run(0.1, 0.0).run(0.1, 0.3)
+    assert bench.body[0] == pytest.approx(0.3)
+
+
 @pytest.mark.parametrize("dead", [(0,), (1, 2)])
 def test_a_sonar_that_reads_0_is_dead_until_it_measures_again(dead):
     bench = DriverBench().run(0.5, 0.4)
