@@ -23,12 +23,13 @@ from shared.velocity_board import (
     TICKS,
     BoardFlags,
     framed_line,
-    is_newer,
     line_fields,
 )
 
 N_FIELDS = {TICKS: 9, POSE: 12}
 WRONG_KIND = "the board sends {}: set robot.drive.kind: {}"
+SILENCE_NS = 1_000_000_000  # ns without a line after which any sequence number counts
+MAX_OLD_LINES, MAX_OLD_MS = 50, 1000  # a line that is behind by less is old; by more, the board was restarted
 MAX_VALUE = 1 << 31
 MAX_YAW_RATE = 50.0  # rad/s; bound of Imu
 BUMPERS = {"left": BoardFlags.BUMPER_LEFT, "front": BoardFlags.BUMPER_FRONT, "right": BoardFlags.BUMPER_RIGHT}
@@ -37,7 +38,7 @@ MOTOR_FAULT = "the board reports a fault of its motor driver"
 
 
 class VelocityBoard(WheelDevice):
-    """Sends velocities; takes ticks. A line that is not newer than the last one is dropped."""
+    """Sends velocities; takes ticks. An old or repeated line is dropped."""
 
     NAME = "velocity"
     WRAP = TICK_WRAP
@@ -47,13 +48,14 @@ class VelocityBoard(WheelDevice):
         super().__init__(config, robot)
         self._reader = LineFramer()
         self._sequence = 0
-        self._last_sequence: int | None = None  # of the last line since the port opened
+        self._last_sequence = 0  # of the last line
+        self._last_at: int | None = None  # ns when it came; None: not since the port opened
         self._last_ms = 0  # of the last line, also from before the port closed: a smaller one is a restart
 
     def forget(self) -> None:
         super().forget()
         self._reader.forget()
-        self._last_sequence = None
+        self._last_at = None
 
     def start_command(self) -> bytes:
         return self._velocity(0.0, 0.0)
@@ -68,7 +70,7 @@ class VelocityBoard(WheelDevice):
         received = BoardInput()
         for line in self._reader.lines(data):
             fields = line_fields(line)
-            if fields is None or not self._decode(fields, stamp, received):
+            if fields is None or not self._decode(fields, stamp, now, received):
                 self.counts.n_bad += fields is not None or b"*" in line
                 self.counts.n_resyncs += 1
                 self.counts.n_skipped += len(line)
@@ -78,7 +80,7 @@ class VelocityBoard(WheelDevice):
         self._sequence = (self._sequence + 1) % SEQUENCES
         return framed_line(COMMAND, self._sequence, round(v * 1e3), round(w * 1e3))
 
-    def _decode(self, fields: list[bytes], stamp: int, received: BoardInput) -> bool:
+    def _decode(self, fields: list[bytes], stamp: int, now: int, received: BoardInput) -> bool:
         """Adds a line's content; False where the line cannot be used."""
         try:
             kind, sequence, ms, flags = fields[0], int(fields[1]), int(fields[2]), BoardFlags(int(fields[4], 16))
@@ -89,13 +91,13 @@ class VelocityBoard(WheelDevice):
             return False
         if len(fields) != N_FIELDS.get(kind, 0):
             return False
+        self.counts.n_good += 1
+        if self._is_old(sequence, ms, now):
+            return True
         if ms < self._last_ms:
             received.restarted = True
             super().forget()
-        elif self._last_sequence is not None and not is_newer(sequence, self._last_sequence):
-            return False
-        self._last_sequence, self._last_ms = sequence, ms
-        self.counts.n_good += 1
+        self._last_sequence, self._last_ms, self._last_at = sequence, ms, now
         received.contacts = board_contacts(flags)
         received.yaw_rate = yaw_rate if yaw_rate is None or abs(yaw_rate) <= MAX_YAW_RATE else None
         self.battery = battery if 0 <= battery <= 100 else nan
@@ -108,6 +110,12 @@ class VelocityBoard(WheelDevice):
             self.fault = WRONG_KIND.format(*(("ticks", "differential") if kind == TICKS else ("poses", "velocity")))
         received.n_reports += 1
         return True
+
+    def _is_old(self, sequence: int, ms: int, now: int) -> bool:
+        """Whether a line at `now` (ns) repeats an earlier one: on a network datagrams come twice, and out of order."""
+        if self._last_at is None or not 0 <= now - self._last_at < SILENCE_NS:
+            return False
+        return (self._last_sequence - sequence) % SEQUENCES < MAX_OLD_LINES and 0 <= self._last_ms - ms < MAX_OLD_MS
 
 
 def board_contacts(flags: BoardFlags) -> BoardContacts:

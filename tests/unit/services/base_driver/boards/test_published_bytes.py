@@ -103,6 +103,35 @@ def test_a_line_with_other_fields_is_no_report(fields):
     assert (received.report, received.n_reports, device.counts.n_good) == (None, 0, 0)
 
 
+def velocity_board_takes(*lines):
+    """Of lines (seq, ms, counts, s when they come): the counts of those that are reports, and the restarts."""
+    device = WiredBoard("velocity").service.serial.device
+    counts, n_restarts = [], 0
+    for sequence, ms, count, seconds in lines:
+        now = round(seconds * 1e9)
+        received = device.receive(framed_line(b"T", sequence, ms, 0, 0, "", "", count, count), now, now)
+        counts += [received.report.right_counts] if received.report else []
+        n_restarts += received.restarted
+    assert device.counts.n_bad == 0
+    return counts, n_restarts
+
+
+@pytest.mark.parametrize("minutes", [1, 12, 15, 20])
+def test_the_velocity_board_s_first_line_after_any_silence_counts(minutes):
+    n, ms = 10 + minutes * 3000, 200 + minutes * 60_000
+    after = (n % 65536, ms, 7, 1 + minutes * 60)
+    assert velocity_board_takes((10, 200, 5, 1), after) == ([5, 7], 0)
+    assert velocity_board_takes((10, 200_000, 5, 1), (9, 180, 1, 2.1)) == ([5, 1], 1)
+
+
+def test_exchanged_and_repeated_lines_of_the_velocity_board_are_dropped_and_a_restart_is_none_of_them():
+    first = (10, 2000, 5, 1.0)
+    exchanged = (12, 2040, 7, 1.04), (11, 2020, 6, 1.05), (12, 2040, 7, 1.06), (13, 2060, 8, 1.07)
+    assert velocity_board_takes(first, *exchanged) == ([5, 7, 8], 0)
+    assert velocity_board_takes((0, 2020, 5, 1.0), (65535, 2000, 4, 1.02), (1, 2040, 6, 1.04)) == ([5, 6], 0)
+    assert velocity_board_takes(first, (1, 20, 0, 1.5), (2, 40, 1, 1.52)) == ([5, 0, 1], 1)
+
+
 def test_unknown_measurements_of_the_velocity_board_stay_unknown():
     wired = WiredBoard("velocity")
     received = wired.service.serial.device.receive(framed_line(b"T", 1, 20, 0, 0, "", "", 1, 2), 1, 1)
