@@ -28,7 +28,8 @@ class DrRobotBoard:
         self.config = config
         self.fault = ""
         kinds = [sensor.kind for sensor in robot.ranges]
-        self.n_ultrasonic, self.n_infrared = kinds.count("ultrasonic"), kinds.count("infrared")
+        self.n_ultrasonic = kinds.count("ultrasonic")  # may be more than the board has
+        self.n_infrared = kinds.count("infrared")
         self.deframer = Deframer(PC)
         self.standard: StandardSensor | None = None
         self.custom: CustomSensor | None = None
@@ -99,7 +100,11 @@ class DrRobotBoard:
         since = now - (now if self._first_at is None else self._first_at)
         has_waited = since > self.config.sensors_silent * 1e9
         sonar = has_waited and not self._is_recent(StandardSensor, now)
-        zero = [str(i) for i in range(self.n_ultrasonic) if self._n_zeros[i] >= N_DEAD_SONAR_PACKETS]
+        zero = [
+            str(i)
+            for i in range(min(self.n_ultrasonic, drrobot.N_CHANNELS))
+            if self._n_zeros[i] >= N_DEAD_SONAR_PACKETS
+        ]
         infrared = has_waited and not self._is_recent(CustomSensor, now)
         parts = (
             "the board sends no ultrasonic ranges" if self.n_ultrasonic and sonar else "",

@@ -354,6 +354,16 @@ def test_channels_without_a_sonar_may_read_zero():
     assert wired.status().fault == ""
 
 
+def test_more_sonars_than_the_board_has_are_a_wrong_number_of_ranges():
+    sonar = next(sensor for sensor in ROBOT.ranges if sensor.kind == "ultrasonic")
+    wired = Wired()
+    wired.service = BaseDriverService(CONFIG, ROBOT.model_copy(update={"ranges": (sonar,) * 8}))
+    wired.service.now = T0
+    status = wired.port().run(1.0, 0.0).status()
+    assert status.fault == "wrong_ranges"
+    assert "the board sends 6 ultrasonic ranges, robot.ranges has 8" in status.detail
+
+
 def test_sensors_that_the_board_does_not_send_are_dead_after_half_a_second():
     wired = Wired().port().run(0.48, says=lambda wired, k: (wired.motors(),))
     assert wired.status().fault == ""
