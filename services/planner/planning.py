@@ -104,8 +104,6 @@ def plan_path(
     Planning keeps `margin`. Where that gives no path, it is repeated with `min_margin`: a gap that became a cell
     narrower must not trap the robot.
     """
-    if not costmap.contains(*costmap.cell(start.x, start.y)):
-        return no_plan(reasons.START_BLOCKED)  # outside of the map, with any margin
     ends = start, goal, tolerance
     plan = _with_margin(costmap, search, *ends, config, turning)
     if plan.reason not in RETRY_REASONS or (reduced := costmap.with_min_margin()) is costmap:
@@ -125,6 +123,8 @@ def _with_margin(
     turning: TurningLimits | None,
 ) -> GlobalPlan:
     start_cell, goal_cell = costmap.cell(start.x, start.y), costmap.cell(goal.x, goal.y)
+    if not costmap.contains(*start_cell):
+        return no_plan(reasons.NO_MAP)
     if not costmap.contains(*goal_cell):
         return no_plan(reasons.GOAL_OUTSIDE)
     escapes = _escape_paths(costmap, start, start_cell, config.escape_radius)
