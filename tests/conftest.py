@@ -2,7 +2,7 @@
 """Repeatable arithmetic, before anything imports numpy; repeatable examples, however busy the machine is.
 
 Environment: ZENAV_HYPOTHESIS_SEED=N draws other examples, by this seed; ZENAV_REQUIRE_DATA=1 fails a run whose tests on
-ZENAV_DATA were skipped.
+ZENAV_DATA were skipped; ZENAV_HALF_OF_CASES=DAY runs half of the cases of tests with several, by the day's number.
 """
 
 import shared.repeatable  # noqa: F401
@@ -14,11 +14,13 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
+from tests.sampling import left_out
 from tests.skips import lacks_data, lines
 from tests.workers import Groups
 
 SEED = os.environ.get("ZENAV_HYPOTHESIS_SEED")  # noqa: TID251  # which examples to draw
 REQUIRE_DATA = os.environ.get("ZENAV_REQUIRE_DATA") == "1"  # noqa: TID251  # CI has the data
+HALF_OF_CASES = os.environ.get("ZENAV_HALF_OF_CASES")  # noqa: TID251  # CI on a slow machine
 
 # derandomize is said: where CI is set, Hypothesis's own profile has it
 settings.register_profile("explore", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=False)
@@ -31,6 +33,14 @@ def pytest_configure(config: Any) -> None:
     """Draws examples by ZENAV_HYPOTHESIS_SEED, as --hypothesis-seed would."""
     if SEED and config.option.hypothesis_seed is None:
         config.option.hypothesis_seed = SEED
+
+
+def pytest_collection_modifyitems(config: Any, items: list[Any]) -> None:
+    """Leaves out the cases of another day."""
+    if HALF_OF_CASES:
+        others = left_out((item.nodeid for item in items), int(HALF_OF_CASES))
+        config.hook.pytest_deselected(items=[item for item in items if item.nodeid in others])
+        items[:] = [item for item in items if item.nodeid not in others]
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -59,5 +69,7 @@ def pytest_terminal_summary(terminalreporter: Any, config: Any) -> None:
         terminalreporter.write_line(line)
     if REQUIRE_DATA and lacks_data(reasons):
         terminalreporter.write_line("failed: ZENAV_REQUIRE_DATA=1, and tests on data were skipped", red=True)
+    if HALF_OF_CASES:
+        terminalreporter.write_line("of tests with several cases half of them ran: all of them with make test")
     if SEED:
         terminalreporter.write_line(f"hypothesis seed {SEED}: run again with ZENAV_HYPOTHESIS_SEED={SEED}")
