@@ -6,8 +6,6 @@ one bin: 16 bytes of header (dtype, axes, three lengths), then its little-endian
 Unknown fields are ignored, so that messages can grow (shared/unknown_fields.py names them).
 """
 
-import hashlib
-import json
 import struct
 import sys
 from collections.abc import Callable
@@ -57,7 +55,7 @@ Axes = tuple[int | str, ...]
 """Of each axis its length, or the name that it has in common with other axes of the message."""
 
 
-def _once_per_class(function: F) -> F:
+def once_per_class(function: F) -> F:
     """functools.cache with a type that accepts dataclass classes as arguments."""
     return cast(F, cache(function))
 
@@ -78,7 +76,7 @@ class Field(NamedTuple):
         return self.default is MISSING
 
 
-@_once_per_class
+@once_per_class
 def fields_of(type_: type[Any]) -> tuple[Field, ...]:
     """The declared fields of a message class, in order."""
     hints = get_type_hints(type_, include_extras=True)
@@ -180,7 +178,7 @@ def _check_shape(name: str, axes: Axes, array: Any, lengths: dict[str, int]) -> 
             raise CodecError(f"{name}: {length} long, not {expected}")
 
 
-@_once_per_class
+@once_per_class
 def _packers(type_: type[Message]) -> tuple[tuple[str, Callable[[Any], Any] | None, bool], ...]:
     """Name, packer, and whether it may be left out: an array with a default is not sent while it is empty."""
     return tuple(
@@ -204,9 +202,9 @@ def _packer(kind: Any) -> Callable[[Any], Any] | None:
     if get_origin(kind) is tuple:
         inner = get_args(kind)
         if inner[-1] is Ellipsis:
-            pack = _packer(_plain(inner[0]))
+            pack = _packer(plain_kind(inner[0]))
             return None if pack is None else lambda values: tuple(pack(v) for v in values)
-        packs = [_packer(_plain(k)) for k in inner]
+        packs = [_packer(plain_kind(k)) for k in inner]
         return lambda values: tuple(v if p is None else p(v) for p, v in zip(packs, values, strict=True))
     if isinstance(kind, type) and issubclass(kind, Message):
         packers = _packers(kind)
@@ -228,7 +226,7 @@ def packed_array(array: Any, dtype: np.dtype[Any]) -> bytes:
     return bytes(_HEADER.pack(_CODES[dtype], array.ndim, *shape) + array.tobytes())
 
 
-@_once_per_class
+@once_per_class
 def _checkers(type_: type[Message]) -> tuple[tuple[str, Any, Axes, Check], ...]:
     """Name, default, axes and checker of each field."""
     return tuple((f.name, f.default, _axes(f.shape), _checker(f.kind, f.within, f.nonzero)) for f in fields_of(type_))
@@ -238,7 +236,7 @@ def _axes(shape: Shape | None) -> Axes:
     return tuple(int(axis) if axis.isdigit() else axis for axis in shape.axes.split()) if shape else ()
 
 
-def _plain(kind: Any) -> Any:
+def plain_kind(kind: Any) -> Any:
     return get_args(kind)[0] if hasattr(kind, "__metadata__") else kind
 
 
@@ -285,7 +283,7 @@ def _tuple_checker(inner: tuple[Any, ...]) -> Check:
 
 def _item_checker(kind: Any) -> Check:
     marks: tuple[Any, ...] = getattr(kind, "__metadata__", ())
-    return _checker(_plain(kind), next((m for m in marks if isinstance(m, Within)), None), False)
+    return _checker(plain_kind(kind), next((m for m in marks if isinstance(m, Within)), None), False)
 
 
 def _list(value: Any) -> list[Any]:
@@ -385,37 +383,3 @@ def _check_bounds(array: Any, within: Within | None) -> None:
         raise CodecError("holds values that are not finite")
     if within is not None and not (within.low <= low and high <= within.high):
         raise CodecError(f"holds {low:g} .. {high:g}, not within {within.low:g} .. {within.high:g}")
-
-
-@_once_per_class
-def schema(type_: type[Message]) -> bytes:
-    """JSON text that describes a message for other programs: MCAP schema data, docs, the page's types."""
-    rows = [
-        {
-            "name": field.name,
-            "type": _type_name(field.kind),
-            "unit": field.unit,
-            **({"within": [field.within.low, field.within.high]} if field.within else {}),
-            **({"nan": True} if field.within and field.within.nan else {}),
-            **({"inf": True} if field.within and field.within.inf else {}),
-            **({"shape": field.shape.axes} if field.shape else {}),
-        }
-        for field in fields_of(type_)
-    ]
-    doc = " ".join((type_.__doc__ or "").split())
-    return json.dumps({"name": type_.__name__, "doc": doc, "encoding": "zenav msgpack", "fields": rows}).encode()
-
-
-@_once_per_class
-def schema_id(type_: type[Message]) -> str:
-    """`LaserScan-1a2b3c4d`: the name and a hash of the fields; a field with a default is compatible and not hashed."""
-    rows = [(f.name, _type_name(f.kind)) for f in fields_of(type_) if f.required]
-    return f"{type_.__name__}-{hashlib.sha256(repr(rows).encode()).hexdigest()[:8]}"
-
-
-def _type_name(kind: Any) -> str:
-    if get_origin(kind) is np.ndarray:
-        return f"{wire_dtype(kind).name}[]"
-    if get_origin(kind) is tuple:
-        return f"[{', '.join('...' if k is Ellipsis else _type_name(_plain(k)) for k in get_args(kind))}]"
-    return str(getattr(kind, "__name__", kind))

@@ -14,8 +14,9 @@ from typing import Any
 import msgpack
 
 from shared import messages
-from shared.codec import fields_of, schema_id
+from shared.codec import fields_of
 from shared.messages import FollowStatus, Goal, Message
+from shared.schema import schema_id
 
 Tree = dict[str, Any]
 

@@ -144,7 +144,7 @@ class SecureFolder:
                 os.fsync(stream.fileno())
             partial.replace(file)
         except OSError as error:
-            hint = "run it as the user who runs the robot, or name another folder: --dir, or ZENAV_SECURE"
+            hint = "run it as the user of the robot, or name another folder: --dir, or ZENAV_SECURE"
             raise UserError(f"{file} cannot be written: {error.strerror}", hint) from None
 
 

@@ -15,13 +15,14 @@ from typing import Any, Literal, get_args, get_origin
 from pydantic.fields import FieldInfo
 
 from shared import messages, recording_requests, requests
-from shared.codec import fields_of, schema
+from shared.codec import fields_of
 from shared.config import Robot, Section
 from shared.crossing import crossing_text
 from shared.messages import Message
 from shared.reasons import REASONS
 from shared.requests import REQUESTS
 from shared.roles import REQUEST_ROLES
+from shared.schema import schema
 from shared.settings import BY_NAME
 from shared.topics import TOPICS
 from zenav.client.api_page import api_page

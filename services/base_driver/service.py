@@ -83,7 +83,8 @@ class BaseDriverService(Service):
 
     @on(topics.CMD_VEL)
     def command(self, command: Velocity) -> Out:
-        yield from self._status_if_changed()  # a fault that has ended since the tick: this command waits for zero
+        if self.published is not None and self.published[0]:
+            yield from self._status_if_changed()  # if the fault has ended since the tick, this command waits for zero
         if self.watchdog.offer(command, self.now):
             yield from self._motor_commands()  # no command waits for the tick
 

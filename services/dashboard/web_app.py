@@ -2,16 +2,16 @@
 """The routes of the page: its files, the WebSocket, and up- and downloads. Loaded when the first browser connects."""
 
 import asyncio
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 from starlette.applications import Starlette
+from starlette.datastructures import Headers
 from starlette.requests import ClientDisconnect, Request
-from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response, StreamingResponse
+from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
+from starlette.types import Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from services.dashboard.field_checks import FrameError, item_name, recording_name
@@ -28,7 +28,6 @@ MAX_FRAMES = 60
 """frames of a page in a second; then it is closed."""
 MAX_UPLOAD = 64 * 2**20  # bytes
 UPLOAD_LIMIT_S = 60.0
-PIECE = 2**16  # bytes of a download that are read at a time
 TOO_MANY, TOO_SLOW, GOING_AWAY = 1008, 1013, 1001  # RFC 6455, section 7.4
 NO_SESSION = 4401  # of the range for applications: the page shows its login
 
@@ -78,7 +77,7 @@ def web_app(hubs: PageHubs, access: Access, store: LoginStore) -> App:
             return _report(reply)
         path = Path(reply["data"])
         hub.report("download", request.scope[USER], path.name)
-        return _first_bytes_response(path)
+        return GrowingFileResponse(path, filename=path.name, media_type="application/octet-stream")
 
     routes = [
         Route("/", index),
@@ -92,19 +91,25 @@ def web_app(hubs: PageHubs, access: Access, store: LoginStore) -> App:
     return WebGuard(Starlette(routes=routes), access, hub.report_refusal)
 
 
-def _first_bytes_response(path: Path) -> Response:
+class GrowingFileResponse(FileResponse):
     """What is in a file now: one that is being written grows while it is sent."""
-    size = path.stat().st_size
 
-    def pieces() -> Iterator[bytes]:
-        left = size
-        with path.open("rb") as file:
-            while left and (piece := file.read(min(left, PIECE))):
-                left -= len(piece)
-                yield piece
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        left: int | None = None
 
-    headers = {"content-length": str(size), "content-disposition": f"attachment; filename*=utf-8''{quote(path.name)}"}
-    return StreamingResponse(pieces(), media_type="application/octet-stream", headers=headers)
+        async def send_first(message: Message) -> None:
+            nonlocal left
+            if message["type"] == "http.response.start":
+                left = int(Headers(raw=message["headers"])["content-length"])
+            elif left is not None and message["type"] == "http.response.body":
+                body = message.get("body", b"")[:left]
+                if not body and message.get("more_body"):
+                    return  # what was written since
+                left -= len(body)
+                message = {**message, "body": body, "more_body": bool(message.get("more_body"))}
+            await send(message)
+
+        await super().__call__(scope, receive, send_first)
 
 
 def _role_refusal(request: Request, hub: PageHub, route: str) -> Response | None:

@@ -13,7 +13,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 
 from shared import topics
-from shared.codec import CodecError, decode, schema, schema_id
+from shared.codec import CodecError, decode
 from shared.config import UserError
 from shared.messages import Journal
 from shared.migrations import MIGRATIONS, unknown_version
@@ -29,6 +29,7 @@ from shared.recordings.frames import (
     records_of,
 )
 from shared.runners.journal import Life, events_of
+from shared.schema import schema, schema_id
 from shared.topics import SERVICES, key_of
 
 CONFIG = "config.yaml"

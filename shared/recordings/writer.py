@@ -14,11 +14,11 @@ import mcap.writer
 from mcap.data_stream import RecordBuilder
 from mcap.records import ChunkIndex
 
-from shared.codec import schema, schema_id
 from shared.file_modes import opener
 from shared.messages import Message
 from shared.recordings.frames import MAGIC
 from shared.recordings.reader import ABOUT, DROPS, ENCODING, LATCHED, Channel, Drop, Entry, drops_record
+from shared.schema import schema, schema_id
 
 _CHUNK_BYTES = 64 * 1024
 

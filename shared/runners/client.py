@@ -219,11 +219,11 @@ class Client:
 
     def answers(self, request: Request[Any, Any], timeout: float, service: str = "") -> bool:
         """Whether a service that answers this request is there within `timeout` s. service: where several answer."""
-        querier = self.session.declare_querier(f"{self.robot}/{request.key_of(service)}")
+        querier: Any = self.session.declare_querier(f"{self.robot}/{request.key_of(service)}")
         try:
             is_matched = threading.Event()
             querier.declare_matching_listener(lambda status: is_matched.set() if status.matching else None)
-            there: Any = querier.matching_status  # zenoh calls it a bool; it is a MatchingStatus
+            there = querier.matching_status  # zenoh calls it a bool; it is a MatchingStatus
             return there.matching or is_matched.wait(timeout)
         finally:
             querier.undeclare()

@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shared.codec import CodecError, Envelope, decode, encode, envelope_of, fields_of, schema, schema_id
+from shared.codec import CodecError, Envelope, decode, encode, envelope_of, fields_of
 from shared.messages import LaserScan, MapUpdate, Message, Velocity
 from shared.requests import REQUESTS
+from shared.schema import schema, schema_id
 from shared.topics import TOPICS
 from tests.strategies import messages
 

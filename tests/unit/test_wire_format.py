@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from shared.codec import CodecError, Envelope, decode, encode, envelope_of, fields_of, schema, schema_id
+from shared.codec import CodecError, Envelope, decode, encode, envelope_of, fields_of
 from shared.geometry import Pose2
 from shared.messages import Message, NonZero, Shape, Unit, Within
+from shared.schema import schema, schema_id
 from shared.unknown_fields import unknown_fields
 
 

@@ -21,11 +21,12 @@ import numpy as np
 import psutil
 from mcap.reader import make_reader
 
-from shared.codec import Envelope, encode, schema, schema_id
+from shared.codec import Envelope, encode
 from shared.config import UserError
 from shared.messages import LaserScan
 from shared.recording import Entry, Recording, Writer
 from shared.runners.replay import Build, Replayed, replay
+from shared.schema import schema, schema_id
 from shared.service import Service, every, handlers, on
 from shared.types import NS_PER_S
 from zenav.client import Client

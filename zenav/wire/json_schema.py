@@ -12,11 +12,12 @@ from typing import Any, get_args, get_origin
 
 import numpy as np
 
-from shared.codec import MAX_COORDINATE, MAX_YAW, Field, fields_of, schema_id, wire_dtype
+from shared.codec import MAX_COORDINATE, MAX_YAW, Field, fields_of, wire_dtype
 from shared.config import UserError, nearest
 from shared.geometry import Pose2
 from shared.messages import Message, Within
 from shared.requests import REQUESTS
+from shared.schema import schema_id
 from shared.topics import TOPICS, topic_of
 from zenav.wire.page import message_classes
 

@@ -7,11 +7,12 @@ from pathlib import Path
 import pytest
 
 from shared import messages
-from shared.codec import Envelope, decode, encode, fields_of, schema, schema_id
+from shared.codec import Envelope, decode, encode, fields_of
 from shared.config import UserError
 from shared.messages import FollowStatus, Goal, LogLine
 from shared.migrations import MIGRATIONS, today, unknown_version
 from shared.recording import Channel, Entry, Recording, Writer
+from shared.schema import schema, schema_id
 from tests.toys import build
 from zenav.__main__ import _status
 from zenav.replay.reprocess import replay_file

@@ -16,10 +16,11 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 
 from shared import topics
-from shared.codec import Envelope, decode, encode, schema, schema_id
+from shared.codec import Envelope, decode, encode
 from shared.config import UserError
 from shared.messages import Clock, EmergencyStop, LogLine
 from shared.recording import CONFIG, Entry, Recording, Writer, about, arithmetic, sink
+from shared.schema import schema, schema_id
 from tests.disks import no_file_longer_than
 from tests.toys import eventful
 

@@ -16,7 +16,7 @@ from services.dashboard import page_hub, web_server
 from services.dashboard.address import page_address
 from services.dashboard.config import DashboardConfig
 from services.dashboard.frames import MAX_FRAME
-from services.dashboard.web_app import MAX_FRAMES, _first_bytes_response
+from services.dashboard.web_app import MAX_FRAMES, GrowingFileResponse
 from services.dashboard.web_guard import POLICY
 from shared.codec import decode
 from shared.config import UserError
@@ -248,23 +248,30 @@ def test_a_page_that_comes_while_the_link_opens_for_one_that_is_gone_keeps_the_l
         threading.Event().wait(0.1)  # it queues behind the first one
         may_open.set()
         second.first("hello")
-        threading.Event().wait(0.5)  # the link of the first one would be closed by now
+        threading.Event().wait(0.5)  # longer than the link of a page that is gone stays
         assert served.link.is_open
 
 
-def test_of_a_recording_that_is_being_written_comes_what_was_there(tmp_path):
-    path = tmp_path / "drive ä.mcap"
+@pytest.mark.parametrize("grows", [0, 50_000, 500_000])
+def test_of_a_recording_that_is_being_written_comes_what_was_there(tmp_path, grows):
+    path = tmp_path / "drive.mcap"
     path.write_bytes(b"x" * 200_000)
-    response = _first_bytes_response(path)
-    with path.open("ab") as file:
-        file.write(b"y" * 50_000)
+    sent: list[dict] = []
 
-    async def body() -> bytes:
-        return b"".join([piece async for piece in response.body_iterator])
+    async def send(message: dict) -> None:
+        if message["type"] == "http.response.start":
+            with path.open("ab") as file:
+                file.write(b"y" * grows)
+        sent.append(message)
 
-    assert asyncio.run(body()) == b"x" * 200_000
-    assert response.headers["content-length"] == "200000"
-    assert response.headers["content-disposition"] == "attachment; filename*=utf-8''drive%20%C3%A4.mcap"
+    async def receive() -> None:
+        await asyncio.Event().wait()
+
+    asyncio.run(GrowingFileResponse(path)({"type": "http", "method": "GET", "headers": []}, receive, send))
+    start, *parts = sent
+    assert (b"content-length", b"200000") in start["headers"]
+    assert b"".join(part["body"] for part in parts) == b"x" * 200_000
+    assert [part["more_body"] for part in parts] == [True] * (len(parts) - 1) + [False]
 
 
 # --- topics -----------------------------------------------------------------------------------------------------------
