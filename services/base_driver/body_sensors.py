@@ -16,18 +16,19 @@ class BodySensors:
     """Publishes a turn rate with each report, contacts when they change and at their period.
 
     has_gyro: whether the board's turn rate is published; not beside another inertial sensor.
+    latency: s from the measurement of a turn rate to its arrival, as of the wheels in the same report.
     """
 
-    def __init__(self, robot: Robot, has_gyro: bool = True) -> None:
-        self._has_gyro = has_gyro
+    def __init__(self, robot: Robot, has_gyro: bool = True, latency: float = 0.0) -> None:
+        self._has_gyro, self._latency_ns = has_gyro, round(latency * 1e9)
         self._sign = -1.0 if robot.imu is not None and robot.imu.upside_down else 1.0
         self._contacts: BoardContacts | None = None
         self._sent_at = 0  # ns
 
     def publications(self, received: BoardInput, stamp: int) -> Out:
-        """The messages of what a board sent; stamp: ns."""
+        """The messages of what a board sent; stamp: ns, of its arrival."""
         if received.yaw_rate is not None and self._has_gyro:
-            yield topics.IMU(Imu(stamp, self._sign * received.yaw_rate, nan, nan, nan))
+            yield topics.IMU(Imu(max(stamp - self._latency_ns, 0), self._sign * received.yaw_rate, nan, nan, nan))
         contacts = received.contacts
         is_due = not 0 <= stamp - self._sent_at < CONTACTS_PERIOD_NS
         if contacts is not None and (is_due or contacts != self._contacts):

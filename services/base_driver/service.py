@@ -45,7 +45,7 @@ class BaseDriverService(Service):
         self.watchdog = Watchdog(config.watchdog)
         self.encoders = Encoders(config.encoders, robot.drive)
         self.diagnosis = Diagnosis(config, robot, self.serial)
-        self.body_sensors = BodySensors(robot, config.board.gyro)
+        self.body_sensors = BodySensors(robot, config.board.gyro, config.board.latency)
         self.velocity_base = VelocityBase(config.encoders, robot.drive) if robot.drive.kind == "velocity" else None
         self.report_key = topics.BOARD.key if self.velocity_base is None else topics.BASE_MOTION.key
         self.report: BoardReport | BaseOdometry | None = None

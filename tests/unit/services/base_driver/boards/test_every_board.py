@@ -186,6 +186,13 @@ def test_an_adapter_that_was_pulled_out_comes_back(model):
     assert min(wired.rims) == pytest.approx(0.3, abs=0.01)
 
 
+def test_the_gyro_of_a_board_has_the_stamp_of_its_wheels_also_with_a_latency():
+    wired = WiredBoard("velocity", latency=0.08).run(0.5, 0.0)
+    wired.body = BodyTruth(0.25, (), ())
+    wired.run(0.1, 0.0)
+    assert wired.last(topics.IMU).stamp == wired.last(topics.REPORT).stamp
+
+
 @pytest.mark.parametrize("model", ["velocity", "kobuki", "create2"])
 def test_bumpers_and_cliffs_are_published_by_name_and_often(model):
     wired = WiredBoard(model).run(1.0, 0.0)
