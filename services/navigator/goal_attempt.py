@@ -34,7 +34,7 @@ class GoalAttemptConfig(Section):
     )
     start_time: float = Field(20.0, gt=0, le=600, description="s without a map or a pose until the task fails")
     hold_time: float = Field(
-        30.0, gt=0, le=3600, description="s that the robot stands for a missing input until the task fails"
+        30.0, gt=0, le=3600, description="s that the robot waits for a missing input until the task fails"
     )
     right_of_way_time: float = Field(
         180.0, gt=0, le=3600, description="s that the robot waits for other robots until the task fails"
