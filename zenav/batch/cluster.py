@@ -20,19 +20,29 @@ if TYPE_CHECKING:
 CONNECT_S = 10.0  # until a scheduler must have answered
 RETURN_S = 120.0  # until a scheduler that was lost must be back, with a worker
 LOOK_S = 1.0  # between two looks for it
+COUNT_S = 5.0  # between two counts of the workers
 
 
 class _ClusterQueue:
     def __init__(self, task: BatchTask, client: "Client", address: str) -> None:
         from distributed import as_completed
 
-        self.n_threads = sum(client.nthreads().values())
+        self._n_threads, self._counted = 0, -COUNT_S
         self._task, self._client, self._address = task, client, address
         self._finished = as_completed(loop=client.loop)
         self._numbers: dict[Future, int] = {}
 
+    def n_threads(self) -> int:
+        """As of the last COUNT_S: workers come and go."""
+        if time.monotonic() - self._counted >= COUNT_S:
+            with _lost_with_its_scheduler():
+                self._n_threads = sum(self._client.nthreads().values())
+            self._counted = time.monotonic()
+        return self._n_threads
+
     def submit(self, number: int, item: Any) -> None:
-        future = self._client.submit(run_in_child, self._task, item, pure=False)
+        with _lost_with_its_scheduler():
+            future = self._client.submit(run_in_child, self._task, item, pure=False)
         self._numbers[future] = number
         self._finished.add(future)
 
@@ -47,12 +57,11 @@ class _ClusterQueue:
         from distributed.scheduler import KilledWorker
 
         if future.status == "finished":
-            try:
+            with _lost_with_its_scheduler():
                 outcome: Outcome = future.result(timeout=CONNECT_S)
-            except Exception:  # its scheduler or worker has just gone
-                raise ClusterLostError from None
             return outcome
-        error = future.exception() if future.status == "error" else None
+        with _lost_with_its_scheduler():
+            error = future.exception(timeout=CONNECT_S) if future.status == "error" else None
         if isinstance(error, KilledWorker):
             return Outcome("died", detail="the cluster's worker died")
         if isinstance(error, OtherCodeError):
@@ -64,6 +73,15 @@ class _ClusterQueue:
         if error is not None:
             raise error
         raise ClusterLostError
+
+
+@contextmanager
+def _lost_with_its_scheduler() -> Iterator[None]:
+    """Dask's client raises many things where its scheduler, or the worker with a result, has just gone."""
+    try:
+        yield
+    except Exception:
+        raise ClusterLostError from None
 
 
 @contextmanager
@@ -90,12 +108,13 @@ def cluster_queue(task: BatchTask, address: str, is_awaited: bool) -> Iterator[W
 def _connected(address: str) -> "Client":
     try:
         client = _made_client(address)
-    except (OSError, ValueError, TimeoutError, TypeError) as error:  # TypeError: tls:// without certificates
+        n_workers = len(client.nthreads())
+    except Exception as error:  # OSError, TypeError (tls:// without certificates), Dask's own for one that goes again
         hint = "start one: dask scheduler, and on each computer: dask worker ADDRESS"
         if address.startswith("tls://"):
             hint = "are Dask's certificates configured here? see docs/batch.md"
         raise UserError(f"no scheduler of Dask answers at {address}: {type(error).__name__}", hint) from None
-    if not client.nthreads():
+    if not n_workers:
         client.close()
         raise UserError(f"the cluster {address} has no workers", f"on each computer: dask worker {address}")
     return client
@@ -110,8 +129,8 @@ def _made_client(address: str) -> "Client":
     def make() -> None:
         try:
             made.set_result(Client(address, timeout=CONNECT_S, set_as_default=False))
-        except BaseException as error:
-            made.set_exception(error)
+        except BaseException as error:  # asyncio's CancelledError is no Exception
+            made.set_exception(error if isinstance(error, Exception) else ConnectionError(type(error).__name__))
 
     threading.Thread(target=make, daemon=True).start()
     return made.result(3 * CONNECT_S)

@@ -47,12 +47,13 @@ class BatchTask(NamedTuple):
 
 
 class WorkQueue(Protocol):
-    """Items in work. n_threads: how many at a time."""
+    """Items in work."""
 
-    n_threads: int
+    def n_threads(self) -> int:
+        """How many items at a time; on a cluster this changes. Raises ClusterLostError."""
 
     def submit(self, number: int, item: Any) -> None:
-        """Adds a try of an item; number: by which its outcome comes back."""
+        """Adds a try of an item; number: by which its outcome comes back. Raises ClusterLostError."""
 
     def wait(self) -> tuple[int, Outcome]:
         """The next outcome. Raises ClusterLostError, or UserError where a worker does not fit."""
@@ -80,7 +81,8 @@ def results(
                 for number, (item, _) in in_work.items():
                     queue.submit(number, item)
                 while True:
-                    for item in islice(left, AHEAD * max(queue.n_threads, 1) - len(in_work)):
+                    room = AHEAD * max(queue.n_threads(), 1) - len(in_work)
+                    for item in islice(left, max(room, 0)):  # a cluster that is back may have fewer workers
                         number = next(numbers)
                         in_work[number] = item, 1
                         queue.submit(number, item)
@@ -130,9 +132,11 @@ class _LocalQueue:
     """Threads of this process, each with a child process."""
 
     def __init__(self, task: BatchTask, pool: ThreadPoolExecutor, jobs: int) -> None:
-        self.n_threads = jobs
-        self._task, self._pool = task, pool
+        self._task, self._pool, self._jobs = task, pool, jobs
         self._outcomes = SimpleQueue[tuple[int, Outcome]]()
+
+    def n_threads(self) -> int:
+        return self._jobs
 
     def submit(self, number: int, item: Any) -> None:
         self._pool.submit(self._run, number, item)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import psutil
@@ -8,8 +9,8 @@ import pytest
 
 from shared.config import UserError
 from tests.unit.zenav.batch import works
-from zenav.batch.child_process import ChildProcess, TryLimits
-from zenav.batch.engine import results
+from zenav.batch.child_process import ChildProcess, Outcome, TryLimits
+from zenav.batch.engine import AHEAD, ClusterLostError, results
 
 ROOT = Path(__file__).parents[4]
 LIMITS = TryLimits(timeout=60.0, memory=400_000_000)
@@ -80,6 +81,42 @@ def test_a_cluster_that_does_not_answer_is_one_line_with_a_hint(monkeypatch):
     monkeypatch.setattr("zenav.batch.cluster.CONNECT_S", 0.5)
     with pytest.raises(UserError, match="no scheduler of Dask answers at tcp:"):
         list(results(works.double, [1], 1, cluster="tcp://127.0.0.1:9"))
+
+
+class ShrunkCluster:
+    """A cluster that is lost with its first results, comes back with one worker, and gets more."""
+
+    def __init__(self):
+        self.lives, self.in_work, self.depths = 0, [], []
+
+    @contextmanager
+    def queue(self, *_args, **_options):
+        self.lives += 1
+        self.in_work, self.n_results = [], 0
+        yield self
+
+    def n_threads(self):
+        return 4 if self.lives == 1 or self.n_results > 20 else 1
+
+    def submit(self, number, item):
+        self.in_work.append((number, item))
+
+    def wait(self):
+        if self.lives == 1 and self.n_results == 2:
+            raise ClusterLostError
+        self.depths.append(len(self.in_work))
+        self.n_results += 1
+        number, item = self.in_work.pop(0)
+        return number, Outcome("done", works.double(item))
+
+
+def test_a_cluster_that_comes_back_with_fewer_workers_goes_on_and_one_that_grows_is_used(monkeypatch):
+    cluster = ShrunkCluster()
+    monkeypatch.setattr("zenav.batch.cluster.cluster_queue", cluster.queue)
+    found = {item: outcome.value for item, outcome in results(works.double, range(60), 1, cluster="tcp://lost:1")}
+    assert found == {i: 2 * i for i in range(60)}
+    assert cluster.lives == 2
+    assert (cluster.depths[20], cluster.depths[24]) == (AHEAD, 4 * AHEAD), "for the workers that are there now"
 
 
 def listening_ports() -> set[int]:
