@@ -22,6 +22,8 @@ SEED = os.environ.get("ZENAV_HYPOTHESIS_SEED")  # noqa: TID251  # which examples
 REQUIRE_DATA = os.environ.get("ZENAV_REQUIRE_DATA") == "1"  # noqa: TID251  # CI has the data
 HALF_OF_CASES = os.environ.get("ZENAV_HALF_OF_CASES")  # noqa: TID251  # CI on a slow machine
 
+pytest.register_assert_rewrite("tests.stack.processes", "tests.replay.record", "tests.strategies", "tests.toys")
+
 # derandomize is said: where CI is set, Hypothesis's own profile has it
 settings.register_profile("explore", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=False)
 settings.register_profile("steady", settings.get_profile("explore"), derandomize=True)
