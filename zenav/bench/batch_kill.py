@@ -8,6 +8,8 @@ import signal
 import socket
 import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -52,14 +54,16 @@ def killed_scheduler(folder: Path, n: int) -> dict[str, Any]:
     files, place = tiny_files(folder / "scheduler", n), folder / "scheduler_out"
     with socket.create_server(("127.0.0.1", 0)) as probe:
         address = f"tcp://127.0.0.1:{probe.getsockname()[1]}"
-    cluster = _start_cluster(address, folder)
-    run = started([*batch_command(files, place, JOBS), "--cluster", address])
-    _wait_for_half(place, n, run)
-    first = [_kill(process) for process in cluster]
-    before = _result_times(place)
-    cluster = _start_cluster(address, folder)
-    used = ended(run, NO_LOG)
-    second = [_kill(process) for process in cluster]
+    with _killed_at_the_end() as programs:
+        cluster = _start_cluster(address, folder, programs)
+        run = started([*batch_command(files, place, JOBS), "--cluster", address])
+        programs.append(run)
+        _wait_for_half(place, n, run)
+        first = [_kill(process) for process in cluster]
+        before = _result_times(place)
+        cluster = _start_cluster(address, folder, programs)
+        used = ended(run, NO_LOG)
+        second = [_kill(process) for process in cluster]
     after, rows = _result_times(place), last_table(Folder(str(place)))
     return {
         "rows": len(rows),
@@ -75,6 +79,18 @@ def killed_scheduler(folder: Path, n: int) -> dict[str, Any]:
     }
 
 
+@contextmanager
+def _killed_at_the_end() -> Iterator[list[Started]]:
+    """Programs that do not outlive the benchmark, however it ends."""
+    programs: list[Started] = []
+    try:
+        yield programs
+    finally:
+        for program in programs:
+            if program.process.poll() is None:
+                _kill(program)
+
+
 def tiny_files(folder: Path, n: int) -> Path:
     """A folder of files that are no logs, each with another content."""
     folder.mkdir()
@@ -83,14 +99,16 @@ def tiny_files(folder: Path, n: int) -> Path:
     return folder
 
 
-def _start_cluster(address: str, folder: Path) -> list[Started]:
-    """A scheduler, and then its workers of one thread each."""
+def _start_cluster(address: str, folder: Path, programs: list[Started]) -> list[Started]:
+    """A scheduler, and then its workers of one thread each; adds them to the programs."""
     module = [sys.executable, "-m"]
     scheduler = started([*module, "distributed.cli.dask_scheduler", "--host", address, "--no-dashboard"])
+    programs.append(scheduler)
     worker = [*module, "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-dashboard", "--no-nanny"]
     worker += ["--host", "127.0.0.1", "--local-directory", str(folder)]
     _wait_until_listening(address, scheduler)
     workers = [started(worker) for _ in range(JOBS)]
+    programs += workers
     _wait_for_workers(address)
     return [scheduler, *workers]
 

@@ -1,9 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """What `zenav batch` costs: the limits, the made-up logs, and a command that is killed and continued."""
 
+import sys
+
+import psutil
 import pytest
 
+from shared.config import UserError
 from zenav.batch.work import SlamWork, run_slam
+from zenav.bench import batch_kill
 from zenav.bench.batch import Used, figures, made_up_logs
 from zenav.bench.batch_kill import killed_run, killed_scheduler
 
@@ -51,3 +56,12 @@ def test_a_run_whose_scheduler_is_killed_goes_on_and_computes_nothing_again_that
     assert 20 <= report["done_at_kill"] <= 40
     assert report["again"] <= report["in_flight"]
     assert set(report["peak_mb"]) == {"command", "scheduler", "worker"}
+
+
+@pytest.mark.timeout(300)  # it starts a cluster
+def test_a_run_that_ends_too_early_leaves_no_cluster(tmp_path, monkeypatch):
+    monkeypatch.setattr(batch_kill, "batch_command", lambda *_: [sys.executable, "-c", ""])
+    with pytest.raises(UserError, match="ends before its files are done"):
+        killed_scheduler(tmp_path, 4)
+    children = [child for child in psutil.Process().children() if child.status() != psutil.STATUS_ZOMBIE]
+    assert not [child for child in children if "distributed.cli" in " ".join(child.cmdline())]
