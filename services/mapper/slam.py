@@ -39,6 +39,7 @@ from shared.service import Log, Out
 UNKNOWN_POSE_COVARIANCE = np.diag((1e6, 1e6, 10.0))
 """Covariance (m^2, rad^2) of a robot that is not localized yet."""
 N_AVERAGED_SCANS = 20.0  # of an unjoined part, over which the share that fits the map is averaged
+LOST_PATH_PER_RAD = 0.3  # m: a turn on the spot shows other places, too
 MAX_LOST_PATH_M = 0.3
 """Path while lost, after which the whole map is searched. Before, a laser that was covered may see its place again."""
 
@@ -69,7 +70,7 @@ class Slam:
         self.mode = MapMode.MAP
         self.saved: SavedMap | None = None  # the map of localization, which does not change
         self.known_map_from_local: Pose2 | None = None  # of the next keyframe, which begins a session
-        self.lost_path = 0.0  # m driven since the robot was lost
+        self.lost_path = 0.0  # m driven or turned since the robot was lost
         self.searches_part = False  # global localization searches an unjoined part, which is mapped meanwhile
         self.part_fit = 1.0  # share of the last scans of an unjoined part that fit the map
 
@@ -125,7 +126,7 @@ class Slam:
         yield from self.front_end.agreement.new_logs()
         if tracked.keyframe is not None and self.front_end.from_keyframes:
             yield from self._add_keyframe(scan, tracked)
-        self.lost_path += hypot(scan.step.x, scan.step.y)
+        self.lost_path += hypot(scan.step.x, scan.step.y) + LOST_PATH_PER_RAD * abs(scan.step.yaw)
         if tracked.state is not Localization.LOST or not self.is_localized or self.front_end.motions_disagree:
             self.lost_path = 0.0
         is_lost = self.lost_path >= MAX_LOST_PATH_M and self.has_graph

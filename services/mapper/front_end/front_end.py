@@ -47,6 +47,7 @@ from shared.messages import Localization, MapUpdate
 
 MAX_SKEW_ERROR_M, MAX_SKEW_ERROR_RAD = 0.02, 0.01  # of the first beam of a sweep against the last
 MAX_DISPLACEMENT_M = 0.3  # from odometry to a first good match after bad ones, or while standing: rooms look alike
+MAX_DISPLACEMENT_RAD = 0.35  # the same for the heading: with a narrow view, each wall looks like the last one
 MAX_JITTER_SIGMAS = 3.0  # a larger step of a match is followed at once
 MAX_STANDING_M = 0.02  # between two sweeps of a robot that stands, by odometry and by matches
 DISAGREEMENT_SIGMA_M, DISAGREEMENT_SIGMA_RAD = 0.2, 0.1  # of odometry's pose after matches and odometry disagreed
@@ -331,8 +332,9 @@ class FrontEnd:
         quality = scored.n_inliers / max(n_informative, MIN_BEAMS)
         if tracking.state is not Localization.STARTING or (n_beams > 0 and self.submap.registrar.map.n > 0):
             # a robot that was carried, while it stood, into a similar room fits at once. Only a graph can find it then
-            off = self.local_from_base.distance(self.dead_reckoned)
-            is_off = self.from_keyframes and not tracking.motions_disagree and off > MAX_DISPLACEMENT_M
+            off = self.dead_reckoned.inverse() @ self.local_from_base
+            is_far = hypot(off.x, off.y) > MAX_DISPLACEMENT_M or abs(off.yaw) > MAX_DISPLACEMENT_RAD
+            is_off = self.from_keyframes and not tracking.motions_disagree and is_far
             is_displaced = is_off and (tracking.n_bad > 0 or is_standing)
             tracking.grade(quality, n_informative >= MIN_BEAMS, is_displaced, self.uncertainty)
         if tracking.compare_motions():

@@ -2,21 +2,30 @@
 """Each hardship against the truth: either the place is right, or the state is not good and the covariance says so."""
 
 from dataclasses import replace
+from math import hypot, pi
 
 import numpy as np
 import pytest
 
+from services.mapper.config import MapperConfig
+from shared.geometry import Pose2
+from shared.messages import Localization
 from tests.unit.services.mapper.hardships import (
+    BEGIN,
+    HOUSE,
     LED,
     NO_ODOMETRY_NOISE,
+    ROUND,
     ROWS,
     WRONG,
     Hardship,
     HardshipRun,
+    along,
     course,
     laser,
     thronged,
 )
+from tests.unit.services.mapper.rooms import ROBOT, RoomDrive, box
 
 
 @pytest.mark.parametrize("name", ROWS)
@@ -101,3 +110,30 @@ def test_a_covariance_that_grew_stays_until_old_ground_is_seen_again():
     assert end < far / 4
     assert driven.away[-1] < 0.02  # 0.003 is measured
     assert np.all(driven.sigma[n // 2 - 3 : n // 2] > 0.15), "a new wall is as unsure as the robot that saw it"
+
+
+@pytest.mark.parametrize("seed", [0, 3, 5])
+def test_a_robot_with_a_narrow_view_that_was_carried_and_spins_is_never_wrong_and_good(seed):
+    rng, lasers = np.random.default_rng(seed), {"laser": laser(131, 1.13, 5.0)}
+    driven = RoomDrive(HOUSE, MapperConfig(), 0.01, ROBOT.model_copy(update=lasers))
+    driven.true, driven.rng, places = BEGIN, rng, []
+    for motion in along(ROUND)[:60]:
+        driven.step(motion)
+        places.append(driven.true)
+    near = places[rng.integers(len(places))]
+    there = Pose2(near.x + rng.uniform(-0.2, 0.2), near.y + rng.uniform(-0.2, 0.2), rng.uniform(-pi, pi))
+    x, y = driven.true.x, driven.true.y
+    driven.segments = np.array(box(x - 0.4, y - 0.35, x + 0.5, y + 0.4))  # hands
+    for _ in range(10):
+        driven.step(Pose2())
+    driven.segments = HOUSE
+    driven.odom_from_start = driven.odom_from_start @ driven.true @ there.inverse()  # its wheels do not turn
+    driven.true = there
+    for k in range(100):
+        before, true = driven.mapper.front_end.local_from_base, driven.true
+        driven.step(Pose2(-0.003, -0.02, -0.2) if k > 5 else Pose2())
+        moved = before.inverse() @ driven.mapper.front_end.local_from_base
+        off = (true.inverse() @ driven.true).inverse() @ moved
+        assert k < 14 or (hypot(off.x, off.y) < 0.1 and abs(off.yaw) < 0.15), "in a new part, by its scans"
+        is_wrong = hypot(driven.error.x, driven.error.y) > WRONG
+        assert not (is_wrong and driven.poses[-1].state is Localization.GOOD)
