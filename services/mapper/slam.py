@@ -39,9 +39,11 @@ from shared.service import Log, Out
 UNKNOWN_POSE_COVARIANCE = np.diag((1e6, 1e6, 10.0))
 """Covariance (m^2, rad^2) of a robot that is not localized yet."""
 N_AVERAGED_SCANS = 20.0  # of an unjoined part, over which the share that fits the map is averaged
-LOST_PATH_PER_RAD = 0.3  # m: a turn on the spot shows other places, too
-MAX_LOST_PATH_M = 0.3
-"""Path while lost, after which the whole map is searched. Before, a laser that was covered may see its place again."""
+MAX_LOST_PATH_M, MAX_LOST_TURN_RAD = 0.3, 6.3
+"""Motion while lost, after which the whole map is searched. Before, a laser that was covered may see its place again.
+
+A robot that turns on the spot sees other places, too. A full turn shows that none of them fits.
+"""
 
 
 class Slam:
@@ -70,7 +72,7 @@ class Slam:
         self.mode = MapMode.MAP
         self.saved: SavedMap | None = None  # the map of localization, which does not change
         self.known_map_from_local: Pose2 | None = None  # of the next keyframe, which begins a session
-        self.lost_path = 0.0  # m driven or turned since the robot was lost
+        self.lost_path = self.lost_turn = 0.0  # m and rad driven since the robot was lost
         self.searches_part = False  # global localization searches an unjoined part, which is mapped meanwhile
         self.part_fit = 1.0  # share of the last scans of an unjoined part that fit the map
 
@@ -126,10 +128,12 @@ class Slam:
         yield from self.front_end.agreement.new_logs()
         if tracked.keyframe is not None and self.front_end.from_keyframes:
             yield from self._add_keyframe(scan, tracked)
-        self.lost_path += hypot(scan.step.x, scan.step.y) + LOST_PATH_PER_RAD * abs(scan.step.yaw)
+        self.lost_path += hypot(scan.step.x, scan.step.y)
+        self.lost_turn += abs(scan.step.yaw)
         if tracked.state is not Localization.LOST or not self.is_localized or self.front_end.motions_disagree:
-            self.lost_path = 0.0
-        is_lost = self.lost_path >= MAX_LOST_PATH_M and self.has_graph
+            self.lost_path = self.lost_turn = 0.0
+        has_moved = self.lost_path >= MAX_LOST_PATH_M or self.lost_turn >= MAX_LOST_TURN_RAD
+        is_lost = has_moved and self.has_graph
         if is_lost and not self.back_end.is_fixed:
             yield from self._begin_part()
         elif is_lost or self._is_kidnapped(tracked):
@@ -169,7 +173,7 @@ class Slam:
         back_end.begin_part(OdometryGap(motion, front_end.unmatched.path, front_end.unmatched.turn))
         front_end.start(front_end.dead_reckoned)
         self._end_part_search()
-        self.part_fit, self.lost_path = 1.0, 0.0
+        self.part_fit, self.lost_path, self.lost_turn = 1.0, 0.0, 0.0
         yield Log("WARNING", "scans do not fit: going on by odometry in a new part of the map")
 
     def _end_part_search(self) -> None:
@@ -382,7 +386,8 @@ class Slam:
             self.grid.load(tiles)
             self.edits.show(self.grid)
         self.jobs.reset()
-        self.mode, self.saved, self.known_map_from_local, self.lost_path = mode, None, None, 0.0
+        self.mode, self.saved, self.known_map_from_local = mode, None, None
+        self.lost_path = self.lost_turn = 0.0
         self.searches_part = False
 
     def _start_global_localization(self) -> Out:
