@@ -9,7 +9,7 @@ Parts take the place of Cartographer's trajectories and of the map frames of Atl
 
 from collections.abc import Iterable
 from dataclasses import replace
-from math import hypot, inf
+from math import inf
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from services.mapper.back_end.map_parts import MIN_FIT, MIN_KEYFRAMES, OdometryG
 from services.mapper.back_end.pose_graph import OptimizationResult, rotate_matrix
 from services.mapper.config import MapperConfig
 from services.mapper.front_end.front_end import FrontEnd
+from services.mapper.front_end.scan_alignment import UnmatchedMotion
 from services.mapper.front_end.scan_queue import SyncedScan
 from services.mapper.front_end.tracking_result import TrackingResult
 from services.mapper.grid.map_drawing import Drawing
@@ -40,10 +41,7 @@ UNKNOWN_POSE_COVARIANCE = np.diag((1e6, 1e6, 10.0))
 """Covariance (m^2, rad^2) of a robot that is not localized yet."""
 N_AVERAGED_SCANS = 20.0  # of an unjoined part, over which the share that fits the map is averaged
 MAX_LOST_PATH_M, MAX_LOST_TURN_RAD = 0.3, 6.3
-"""Motion while lost, after which the whole map is searched. Before, a laser that was covered may see its place again.
-
-A robot that turns on the spot sees other places, too. A full turn shows that none of them fits.
-"""
+"""Motion while lost, a full turn on the spot too, until the whole map is searched: a covered laser may see again."""
 
 
 class Slam:
@@ -72,7 +70,7 @@ class Slam:
         self.mode = MapMode.MAP
         self.saved: SavedMap | None = None  # the map of localization, which does not change
         self.known_map_from_local: Pose2 | None = None  # of the next keyframe, which begins a session
-        self.lost_path = self.lost_turn = 0.0  # m and rad driven since the robot was lost
+        self.lost = UnmatchedMotion()  # motion since the robot was lost
         self.searches_part = False  # global localization searches an unjoined part, which is mapped meanwhile
         self.part_fit = 1.0  # share of the last scans of an unjoined part that fit the map
 
@@ -128,11 +126,10 @@ class Slam:
         yield from self.front_end.agreement.new_logs()
         if tracked.keyframe is not None and self.front_end.from_keyframes:
             yield from self._add_keyframe(scan, tracked)
-        self.lost_path += hypot(scan.step.x, scan.step.y)
-        self.lost_turn += abs(scan.step.yaw)
+        self.lost = self.lost.extended(scan.step, scan.seconds)
         if tracked.state is not Localization.LOST or not self.is_localized or self.front_end.motions_disagree:
-            self.lost_path = self.lost_turn = 0.0
-        has_moved = self.lost_path >= MAX_LOST_PATH_M or self.lost_turn >= MAX_LOST_TURN_RAD
+            self.lost = UnmatchedMotion()
+        has_moved = self.lost.path >= MAX_LOST_PATH_M or self.lost.turn >= MAX_LOST_TURN_RAD
         is_lost = has_moved and self.has_graph
         if is_lost and not self.back_end.is_fixed:
             yield from self._begin_part()
@@ -173,7 +170,7 @@ class Slam:
         back_end.begin_part(OdometryGap(motion, front_end.unmatched.path, front_end.unmatched.turn))
         front_end.start(front_end.dead_reckoned)
         self._end_part_search()
-        self.part_fit, self.lost_path, self.lost_turn = 1.0, 0.0, 0.0
+        self.part_fit, self.lost = 1.0, UnmatchedMotion()
         yield Log("WARNING", "scans do not fit: going on by odometry in a new part of the map")
 
     def _end_part_search(self) -> None:
@@ -386,8 +383,7 @@ class Slam:
             self.grid.load(tiles)
             self.edits.show(self.grid)
         self.jobs.reset()
-        self.mode, self.saved, self.known_map_from_local = mode, None, None
-        self.lost_path = self.lost_turn = 0.0
+        self.mode, self.saved, self.known_map_from_local, self.lost = mode, None, None, UnmatchedMotion()
         self.searches_part = False
 
     def _start_global_localization(self) -> Out:
