@@ -5,8 +5,8 @@ from math import nan
 
 from services.base_driver.boards.board_config import SerialBoardConfig
 from services.base_driver.boards.device import BoardInput
-from services.base_driver.boards.models import BOARDS
-from shared.config import Robot
+from services.base_driver.boards.models import BOARDS, MODELS_WITH_ODOMETRY
+from shared.config import Robot, UserError
 from shared.messages import BoardStatus, PortState, SerialData
 
 
@@ -14,9 +14,15 @@ class SerialBoard:
     """Bytes in, bytes out, through the device of `config.model`.
 
     silent: s without a report after which the board may have restarted: it is configured again.
+    Raises UserError where the board does not fit the robot's drive.
     """
 
     def __init__(self, config: SerialBoardConfig, robot: Robot, silent: float) -> None:
+        if robot.drive.kind == "velocity" and config.model not in MODELS_WITH_ODOMETRY:
+            raise UserError(
+                f"robot.drive.kind: velocity does not fit the board {config.model}, which only counts wheels",
+                "set robot.drive.kind: differential, or base_driver.board.model: velocity",
+            )
         self.config, self.silent = config, round(silent * 1e9)
         self.device = BOARDS[config.model](config, robot)
         self.open, self.detail = False, "its port has not been opened yet"
