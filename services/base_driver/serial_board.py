@@ -26,7 +26,7 @@ class SerialBoard:
         self.config, self.silent = config, round(silent * 1e9)
         self.device = BOARDS[config.model](config, robot)
         self.open, self.detail = False, "its port has not been opened yet"
-        self._last_at: dict[str, int] = {}  # ns when bytes, a packet, a bad checksum or a report came last
+        self._last_at: dict[str, int] = {}  # ns when bytes, a packet, a report, or a bad one came last
         self._started_at = 0  # ns
         self._n_reports = self._n_reports_at_status = 0
         self._status_at = 0
@@ -46,11 +46,13 @@ class SerialBoard:
     def receive(self, data: SerialData, now: int) -> BoardInput:
         """The newest report in these bytes, and the bytes to answer."""
         before = self.device.counts
-        n_good, n_bad = before.n_good, before.n_bad
+        n_good, n_bad, n_unreadable = before.n_good, before.n_bad, before.n_unreadable
         received = self.device.receive(data.data, max(data.stamp - round(self.config.latency * 1e9), 0), now)
         self._last_at["bytes"] = now
         if self.device.counts.n_bad > n_bad:
             self._last_at["crc"] = now
+        if self.device.counts.n_unreadable > n_unreadable:
+            self._last_at["fields"] = now
         if self.device.counts.n_good > n_good:
             self._last_at["packet"] = now
         if received.n_reports:
@@ -83,6 +85,8 @@ class SerialBoard:
             return "no byte arrives"
         if self._is_recent("packet", now):
             return "packets arrive, but none of the motors"
+        if self._is_recent("fields", now):
+            return "lines arrive with right checksums, but their fields are wrong"
         if self._is_recent("crc", now):
             return "packets arrive, but their checksums are wrong"
         return "bytes arrive, none make sense: check base_driver.port.baud and .device, and .board.model"
