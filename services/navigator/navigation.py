@@ -4,7 +4,7 @@
 from math import inf
 
 from services.navigator.config import NavigatorConfig
-from services.navigator.exploration import Exploration
+from services.navigator.exploration import Exploration, missing_input
 from services.navigator.frontiers import FrontierConfig, Frontiers, Snapshot, find_frontiers
 from services.navigator.goal_attempt import AttemptAction, GoalAttempt
 from services.navigator.motion import SingleMotion
@@ -355,9 +355,10 @@ class Navigation:
             exploration.passed(seconds, pose)
         if self.attempt is None:
             exploration.without += seconds
-        if pose is None or grid.empty:
+        missing = missing_input(grid, pose)
+        if pose is None or missing is not None:
             if exploration.without > self.config.leg.start_time:
-                yield from self.end(now, NavState.FAILED, reasons.NO_MAP if grid.empty else reasons.POSE_OLD)
+                yield from self.end(now, NavState.FAILED, missing)
             return
         due = self.searched >= _SEARCH_PERIOD_S and self.searching >= _SEARCH_TIMEOUT_S
         if due and not (self.action or self.suspended):
