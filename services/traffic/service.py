@@ -34,6 +34,7 @@ from shared.service import Out, Service, every, on
 from shared.types import NS_PER_S
 
 ALONE_EVERY = 5  # ticks between two messages while no other robot is heard
+ALONE_FROM = 12  # ticks after the start, longer than a lease, at which the robot is said to be alone
 SAME_GOAL_M = 0.1  # between two goals of one task
 TASK_GAP_NS = 15 * NS_PER_S
 """ns without a goal after which a goal at the same place is a new task: recoveries and pauses are shorter."""
@@ -43,7 +44,10 @@ SPEED_SETTLING = 0.4  # share of the newest step in the speed
 
 
 class TrafficService(Service):
-    """One robot's part of the traffic. Without another robot on its map it says nothing to its own services."""
+    """One robot's part of the traffic. Without another robot on its map it says so to its own services, and no more.
+
+    It says so once after its start, too: what a process before it said of other robots would hold for ever.
+    """
 
     config_type = TrafficConfig
     config: TrafficConfig
@@ -164,7 +168,7 @@ class TrafficService(Service):
             self._take_plan()
             yield from self._decide()
             yield topics.OTHER_ROBOTS(other_robots(there, self.now))
-        elif self.is_active:
+        elif self.is_active or self.n_ticks == ALONE_FROM:
             self.is_active = False
             self.giving_way.end()
             yield topics.RIGHT_OF_WAY(no_other_robot(self.now))
