@@ -130,19 +130,21 @@ class Navigation:
             return
         if self.action and follow.state in (FollowState.ARRIVED, FollowState.FAILED):
             yield from self._drive(now, self.attempt)
-        elif not self.action and (follow.state is FollowState.ARRIVED or self._passes(follow, self.attempt)):
+        elif not self.action and (follow.state is FollowState.ARRIVED or self._passes(follow, self.attempt, now)):
             yield from self._arrived(now)
 
-    def _passes(self, follow: FollowStatus, attempt: GoalAttempt) -> bool:
+    def _passes(self, follow: FollowStatus, attempt: GoalAttempt, now: int) -> bool:
         """Whether the robot passes a pose of its route at which it need not stop."""
         pose, to_refuge = self.pose_tracker.map_from_base, follow.reason == reasons.GIVING_WAY.code
         under_way = follow.state is FollowState.FOLLOWING and not (self.suspended or to_refuge)
-        if pose is None or not under_way or not isinstance(self.task, Route):
+        if pose is None or self.order is None or not under_way or not isinstance(self.task, Route):
             return False
         if not self.task.passes:
             return False
         near = self.config.pass_within if self.task.pass_through else 0.0
-        return pose.distance(attempt.target) <= self.task.tolerance or follow.distance_left <= near
+        # for a moment local control follows the plan of the goal before, whose end may lie beside this pose
+        left = max(follow.distance_left, self.statuses.left_by_plan(self.order, self.robot.drive.max_speed, now))
+        return pose.distance(attempt.target) <= self.task.tolerance or left <= near
 
     def on_pose_jump(self, now: int) -> Out:
         """Sends the goal again after a jump of the pose, so that planning starts from the new pose."""

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -158,6 +159,26 @@ def test_a_route_that_passes_through_stops_at_its_last_pose_only_whose_heading_a
     bench.follow_state = FollowState.ARRIVED
     bench.run(60, until=ENDS)
     assert bench.status.state is NavState.REACHED
+
+
+def test_a_pose_is_passed_by_the_way_of_its_own_plan_and_not_of_the_one_before():
+    """The second pose lies beside the first one, behind a wall."""
+    bench = NavigatorBench()
+    poses = (Pose2(2.0, 0.0), Pose2(2.0, 0.3), Pose2(9.0, 0.0))
+    bench.ask("navigate", Navigate(bench.now, poses, 0.0, 1, True, dwells=(0.0,) * 3, pass_through=True))
+    bench.pose = Pose2(1.6, 0.0)
+    bench.step()
+    bench.follow_state = FollowState.FOLLOWING
+    bench.step()
+    assert bench.status.waypoint == 0
+    assert bench.goal.map_from_goal == poses[1]
+    seen = []
+    for length in (None, 8.0, 0.65):
+        if length is not None:
+            bench.call("plan", replace(bench.path(), length=length))
+        bench.call("follow", FollowStatus(bench.now, bench.goal.id, FollowState.FOLLOWING, "", 0.6))
+        seen.append(bench.goal.map_from_goal)
+    assert seen == [poses[1], poses[1], poses[2]]
 
 
 def test_a_pose_that_wants_a_heading_and_a_patrol_of_one_place_are_not_passed():
