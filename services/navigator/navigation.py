@@ -24,6 +24,7 @@ from shared.zones import KeepOut, laid
 
 _ANY_HEADING_RAD = 10.0  # rad of tolerance
 _FINAL_REASONS = reasons.UNREACHABLE, reasons.START_BLOCKED, reasons.NO_ROOM_TO_TURN
+_CANNOT = reasons.NO_REVERSE.code, reasons.NO_TURN_IN_PLACE.code  # of a recovery that local control's limits forbid
 _JUMP_SHOWN_S = 2.0  # s
 _SEARCH_PERIOD_S = 0.5  # s
 _SEARCH_TIMEOUT_S = 10.0  # s after which the answer of a search is not waited for any more
@@ -128,7 +129,9 @@ class Navigation:
         """Takes local control's status: an arrival, or the end of a recovery."""
         if self.order is None or follow.goal_id != self.order.id or self.paused or self.attempt is None:
             return
-        if self.action and follow.state in (FollowState.ARRIVED, FollowState.FAILED):
+        if self.action and follow.state is FollowState.FAILED and follow.reason in _CANNOT:
+            yield from self._recover(self.attempt, self.recoveries.last, now)
+        elif self.action and follow.state in (FollowState.ARRIVED, FollowState.FAILED):
             yield from self._drive(now, self.attempt)
         elif not self.action and (follow.state is FollowState.ARRIVED or self._passes(follow, self.attempt, now)):
             yield from self._arrived(now)

@@ -191,6 +191,22 @@ def test_a_pose_that_wants_a_heading_and_a_patrol_of_one_place_are_not_passed():
         assert len(bench.orders) == 1
 
 
+def test_a_recovery_that_the_limits_of_local_control_forbid_is_followed_by_the_next_one_at_once():
+    """As with local_ctrl.max_reverse_speed 0 on a robot that may drive backward."""
+    bench = NavigatorBench()
+    bench.follow_state = FollowState.BLOCKED
+    bench.go(FAR)
+    while not bench.recoveries:
+        bench.step()
+    (backs_up,) = bench.recoveries
+    bench.follow_reason = reasons.NO_REVERSE.code
+    bench.act = lambda: FollowState.FAILED if bench.orders[-1] is backs_up else FollowState.FOLLOWING
+    bench.run(0.3)
+    assert [order.kind for order in bench.recoveries] == [RecoveryKind.BACK_UP, RecoveryKind.TURN]
+    assert bench.orders[-2:] == [backs_up, bench.recoveries[-1]]
+    assert (bench.status.recovery, bench.status.n_recoveries) == ("turn_left", 4)
+
+
 def test_a_recovery_is_told_with_its_place_in_the_order_and_its_cause():
     bench = NavigatorBench()
     bench.follow_state, bench.follow_reason = FollowState.BLOCKED, reasons.BLOCKED.code
