@@ -49,7 +49,7 @@ class Red:
         """Returns the newest right of way and intent."""
         along = [(x, 1.6) for x in np.arange(2.8, -0.5, -0.3)]
         for now in range(S, S + seconds * S, S // 5):
-            blue = intent(now, at=Pose2(2.8, 1.6), path=along, waits_for=("red",), since=0, heard=(("red", 1000),))
+            blue = intent(now, at=Pose2(2.8, 1.6), path=along, waits_for=("red",), since=0, heard=(("red", 10**9),))
             self.call("heard", now, blue)
             self.call("pose", now, sample.pose_estimate(now, RED))
             self.call("tick", now)
