@@ -19,6 +19,7 @@ class LineCounts:
     n_bad: int = 0  # packets or lines with a wrong checksum
     n_resyncs: int = 0  # times that bytes were skipped before a packet
     n_skipped: int = 0  # bytes
+    n_unreadable: int = 0  # lines with a correct checksum, whose fields are not those of the protocol
 
 
 def crc16(data: bytes, crc: int = 0) -> int:

@@ -68,6 +68,7 @@ GOAL_OUTSIDE    = Reason("goal_outside", "the goal lies outside the map", "choos
 GOAL_BLOCKED    = Reason("goal_blocked", "the goal lies in or beside an obstacle", "choose a goal with room for the robot", "info")
 GOAL_UNKNOWN    = Reason("goal_unknown", "the goal lies in unknown space", "explore first: zenav explore", "info")
 GOAL_KEEP_OUT   = Reason("goal_keep_out", "the goal lies in a keep-out zone", "choose another goal, or take the zone away: zenav zones list", "info")
+START_OUTSIDE   = Reason("start_outside", "the robot's pose lies outside the map", "give its pose: zenav map mode localise --at X Y DEG, or load the map of this place", "hold")
 START_BLOCKED   = Reason("start_blocked", "the robot stands in an obstacle of the map", "drive it free by hand", "hold")
 UNREACHABLE     = Reason("unreachable", "no way leads to the goal", "open a way or choose another goal", "info")
 NO_ROOM_TO_TURN = Reason("no_room_to_turn", "no way leads to the goal on arcs that the robot drives", "move it or the goal, take any heading, or set a smaller robot.drive.min_turning_radius", "info")

@@ -5,8 +5,8 @@ from math import nan
 
 from services.base_driver.boards.board_config import SerialBoardConfig
 from services.base_driver.boards.device import BoardInput
-from services.base_driver.boards.models import BOARDS
-from shared.config import Robot
+from services.base_driver.boards.models import BOARDS, MODELS_WITH_ODOMETRY
+from shared.config import Robot, UserError
 from shared.messages import BoardStatus, PortState, SerialData
 
 
@@ -14,13 +14,19 @@ class SerialBoard:
     """Bytes in, bytes out, through the device of `config.model`.
 
     silent: s without a report after which the board may have restarted: it is configured again.
+    Raises UserError where the board does not fit the robot's drive.
     """
 
     def __init__(self, config: SerialBoardConfig, robot: Robot, silent: float) -> None:
+        if robot.drive.kind == "velocity" and config.model not in MODELS_WITH_ODOMETRY:
+            raise UserError(
+                f"robot.drive.kind: velocity does not fit the board {config.model}, which only counts wheels",
+                "set robot.drive.kind: differential, or base_driver.board.model: velocity",
+            )
         self.config, self.silent = config, round(silent * 1e9)
         self.device = BOARDS[config.model](config, robot)
         self.open, self.detail = False, "its port has not been opened yet"
-        self._last_at: dict[str, int] = {}  # ns when bytes, a packet, a bad checksum or a report came last
+        self._last_at: dict[str, int] = {}  # ns when bytes, a packet, a report, or a bad one came last
         self._started_at = 0  # ns
         self._n_reports = self._n_reports_at_status = 0
         self._status_at = 0
@@ -40,11 +46,13 @@ class SerialBoard:
     def receive(self, data: SerialData, now: int) -> BoardInput:
         """The newest report in these bytes, and the bytes to answer."""
         before = self.device.counts
-        n_good, n_bad = before.n_good, before.n_bad
+        n_good, n_bad, n_unreadable = before.n_good, before.n_bad, before.n_unreadable
         received = self.device.receive(data.data, max(data.stamp - round(self.config.latency * 1e9), 0), now)
         self._last_at["bytes"] = now
         if self.device.counts.n_bad > n_bad:
             self._last_at["crc"] = now
+        if self.device.counts.n_unreadable > n_unreadable:
+            self._last_at["fields"] = now
         if self.device.counts.n_good > n_good:
             self._last_at["packet"] = now
         if received.n_reports:
@@ -77,6 +85,8 @@ class SerialBoard:
             return "no byte arrives"
         if self._is_recent("packet", now):
             return "packets arrive, but none of the motors"
+        if self._is_recent("fields", now):
+            return "lines arrive with right checksums, but their fields are wrong"
         if self._is_recent("crc", now):
             return "packets arrive, but their checksums are wrong"
         return "bytes arrive, none make sense: check base_driver.port.baud and .device, and .board.model"

@@ -212,6 +212,15 @@ class Exploration:
         into.update((int(row), int(column)) for row, column in near)
 
 
+def missing_input(grid: OccupancyGrid, pose: Pose2 | None) -> Reason | None:
+    """Why no search for frontiers is possible at a pose in `map`; None where one is."""
+    if grid.empty:
+        return reasons.NO_MAP
+    if pose is None:
+        return reasons.POSE_OLD
+    return None if grid.holds(*grid.cell(pose.x, pose.y)) else reasons.START_OUTSIDE
+
+
 def _visit_cell(target: FrontierTarget) -> Cell:
     return round(target.x / _VISIT_CELL_M), round(target.y / _VISIT_CELL_M)
 

@@ -32,7 +32,7 @@ class GoalAttemptConfig(Section):
         le=300,
         description="s without a path to the goal until a recovery, or failure if there never was one",
     )
-    start_time: float = Field(20.0, gt=0, le=600, description="s without a map or a pose until the task fails")
+    start_time: float = Field(20.0, gt=0, le=600, description="s without a map or a pose on it until the task fails")
     hold_time: float = Field(
         30.0, gt=0, le=3600, description="s that the robot waits for a missing input until the task fails"
     )
@@ -69,7 +69,7 @@ _GOAL_REFUSED = {reasons.GOAL_OUTSIDE.code, reasons.GOAL_BLOCKED.code, reasons.G
 _GOAL_FORBIDDEN = {reasons.GOAL_KEEP_OUT.code}
 """Refusals of a goal that no recovery changes."""
 _WAITS = {reasons.RIGHT_OF_WAY, reasons.GIVING_WAY}
-_NOT_READY = {reasons.NO_MAP.code, reasons.POSE_OLD.code, reasons.POSE_LOST.code}
+_NOT_READY = {reason.code for reason in (reasons.NO_MAP, reasons.POSE_OLD, reasons.POSE_LOST, reasons.START_OUTSIDE)}
 
 
 @dataclass(slots=True)

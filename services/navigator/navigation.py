@@ -4,7 +4,7 @@
 from math import inf
 
 from services.navigator.config import NavigatorConfig
-from services.navigator.exploration import Exploration
+from services.navigator.exploration import Exploration, missing_input
 from services.navigator.frontiers import FrontierConfig, Frontiers, Snapshot, find_frontiers
 from services.navigator.goal_attempt import AttemptAction, GoalAttempt
 from services.navigator.motion import SingleMotion
@@ -24,6 +24,7 @@ from shared.zones import KeepOut, laid
 
 _ANY_HEADING_RAD = 10.0  # rad of tolerance
 _FINAL_REASONS = reasons.UNREACHABLE, reasons.START_BLOCKED, reasons.NO_ROOM_TO_TURN
+_CANNOT = reasons.NO_REVERSE.code, reasons.NO_TURN_IN_PLACE.code  # of a recovery that local control's limits forbid
 _JUMP_SHOWN_S = 2.0  # s
 _SEARCH_PERIOD_S = 0.5  # s
 _SEARCH_TIMEOUT_S = 10.0  # s after which the answer of a search is not waited for any more
@@ -128,21 +129,25 @@ class Navigation:
         """Takes local control's status: an arrival, or the end of a recovery."""
         if self.order is None or follow.goal_id != self.order.id or self.paused or self.attempt is None:
             return
-        if self.action and follow.state in (FollowState.ARRIVED, FollowState.FAILED):
+        if self.action and follow.state is FollowState.FAILED and follow.reason in _CANNOT:
+            yield from self._recover(self.attempt, self.recoveries.last, now)
+        elif self.action and follow.state in (FollowState.ARRIVED, FollowState.FAILED):
             yield from self._drive(now, self.attempt)
-        elif not self.action and (follow.state is FollowState.ARRIVED or self._passes(follow, self.attempt)):
+        elif not self.action and (follow.state is FollowState.ARRIVED or self._passes(follow, self.attempt, now)):
             yield from self._arrived(now)
 
-    def _passes(self, follow: FollowStatus, attempt: GoalAttempt) -> bool:
+    def _passes(self, follow: FollowStatus, attempt: GoalAttempt, now: int) -> bool:
         """Whether the robot passes a pose of its route at which it need not stop."""
         pose, to_refuge = self.pose_tracker.map_from_base, follow.reason == reasons.GIVING_WAY.code
         under_way = follow.state is FollowState.FOLLOWING and not (self.suspended or to_refuge)
-        if pose is None or not under_way or not isinstance(self.task, Route):
+        if pose is None or self.order is None or not under_way or not isinstance(self.task, Route):
             return False
         if not self.task.passes:
             return False
         near = self.config.pass_within if self.task.pass_through else 0.0
-        return pose.distance(attempt.target) <= self.task.tolerance or follow.distance_left <= near
+        # for a moment local control follows the plan of the goal before, whose end may lie beside this pose
+        left = max(follow.distance_left, self.statuses.left_by_plan(self.order, self.robot.drive.max_speed, now))
+        return pose.distance(attempt.target) <= self.task.tolerance or left <= near
 
     def on_pose_jump(self, now: int) -> Out:
         """Sends the goal again after a jump of the pose, so that planning starts from the new pose."""
@@ -355,9 +360,10 @@ class Navigation:
             exploration.passed(seconds, pose)
         if self.attempt is None:
             exploration.without += seconds
-        if pose is None or grid.empty:
+        missing = missing_input(grid, pose)
+        if pose is None or missing is not None:
             if exploration.without > self.config.leg.start_time:
-                yield from self.end(now, NavState.FAILED, reasons.NO_MAP if grid.empty else reasons.POSE_OLD)
+                yield from self.end(now, NavState.FAILED, missing)
             return
         due = self.searched >= _SEARCH_PERIOD_S and self.searching >= _SEARCH_TIMEOUT_S
         if due and not (self.action or self.suspended):

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The newest messages of planner, local control, guard and traffic: the recent ones about the present goal."""
 
+from math import inf
+
 from shared import reasons
 from shared.messages import FollowState, FollowStatus, GuardState, GuardStatus, Path, RightOfWay
 from shared.orders import Order
@@ -65,6 +67,11 @@ class StatusCache:
         if self._plan is None or self._plan[0].goal_id != goal.id or abs(now - self._plan[1]) > _MAX_PLAN_AGE_NS:
             return None
         return self._plan[0]
+
+    def left_by_plan(self, goal: Order, max_speed: float, now: int) -> float:
+        """m that are left at least of the plan for this goal, since it was made; inf without one. max_speed: m/s."""
+        plan = self.plan_for(goal, now)
+        return inf if plan is None or plan.reason else plan.length - max_speed * abs(now - plan.stamp) * 1e-9
 
     def follow_for(self, goal: Order, now: int) -> FollowStatus | None:
         """Local control's status for this goal, or None."""

@@ -124,7 +124,7 @@ def _with_margin(
 ) -> GlobalPlan:
     start_cell, goal_cell = costmap.cell(start.x, start.y), costmap.cell(goal.x, goal.y)
     if not costmap.contains(*start_cell):
-        return no_plan(reasons.NO_MAP)
+        return no_plan(reasons.START_OUTSIDE)
     if not costmap.contains(*goal_cell):
         return no_plan(reasons.GOAL_OUTSIDE)
     escapes = _escape_paths(costmap, start, start_cell, config.escape_radius)

@@ -9,7 +9,7 @@ and controller pass through.
 from services.ros2.ros_types import Distro
 from shared import reasons
 
-GOAL_OUTSIDE, START_OCCUPIED, GOAL_OCCUPIED, TIMEOUT, NO_PATH = 4, 5, 6, 7, 8
+START_OUTSIDE, GOAL_OUTSIDE, START_OCCUPIED, GOAL_OCCUPIED, TIMEOUT, NO_PATH = 3, 4, 5, 6, 7, 8
 PLANNER_TF_ERROR = 2
 PLANNER_BASES = {"NavigateToPose": 200, "NavigateThroughPoses": 300, "FollowWaypoints": 200}
 """Of the codes of ComputePathToPose and ComputePathThroughPoses, to which those above are added."""
@@ -18,6 +18,7 @@ PLANNER_ERRORS = {
     reasons.GOAL_BLOCKED.code: GOAL_OCCUPIED,
     reasons.GOAL_KEEP_OUT.code: GOAL_OCCUPIED,
     reasons.GOAL_UNKNOWN.code: NO_PATH,
+    reasons.START_OUTSIDE.code: START_OUTSIDE,
     reasons.START_BLOCKED.code: START_OCCUPIED,
     reasons.UNREACHABLE.code: NO_PATH,
     reasons.NO_ROOM_TO_TURN.code: NO_PATH,

@@ -110,6 +110,12 @@ class WorldFile(Section):
     cliffs: tuple[Polygon, ...] = Field((), description="regions without floor, that only cliff sensors see")
     goals: tuple[WorldGoal, ...] = Field((), description="places to send the robot to")
 
+    @model_validator(mode="after")
+    def _is_extended(self) -> "WorldFile":
+        if self.bounds is not None and not (self.bounds[0] < self.bounds[2] and self.bounds[1] < self.bounds[3]):
+            raise ValueError("bounds: low x, low y, high x, high y: each low one is below its high one")
+        return self
+
 
 def build_world(name: str, file: RobotFile, raster: Raster | None, seed: int, jitter: float) -> World:
     """The world of a file; loose things move by up to `jitter` m, by the seed, if routes and places stay free.

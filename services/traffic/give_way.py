@@ -91,11 +91,11 @@ def refuge(
 def _free_cells(grid: OccupancyGrid, me: TrafficRobot) -> tuple[Bools, float, float, float]:
     """(h, w) bool: where the robot has room; x, y m of the centre of cell (0, 0); m a cell. It stands on a centre."""
     row, column = grid.cell(me.x, me.y)
+    if not grid.holds(row, column):
+        return np.zeros((0, 0), bool), 0.0, 0.0, CELL_M
     reach = round(WINDOW_M / grid.resolution)
     low_row, low_column = max(0, row - reach), max(0, column - reach)
     cells = grid.cells[low_row : row + reach, low_column : column + reach]
-    if not cells.size:
-        return np.zeros((0, 0), bool), 0.0, 0.0, CELL_M
     room = distance_field(np.ascontiguousarray((cells < 0) | (cells > FREE_UP_TO)), grid.resolution)
     stride = max(1, round(CELL_M / grid.resolution))
     first_row, first_column = (row - low_row) % stride, (column - low_column) % stride

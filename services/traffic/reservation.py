@@ -56,7 +56,7 @@ class Reservation:
         self.widths: Float64s = np.zeros(0)
         self.at = 0  # index of the point beside the robot
         self.held_end = self.wanted_end = 0  # indices behind the last held and wanted point
-        self.number = 0  # of claims
+        self.number = 0  # of the newest claim
         self.waits_for: tuple[str, ...] = ()
         self.deaf: tuple[str, ...] = ()  # robots that do not answer
         self._path_claim = _Claim(0, 0, 0)
@@ -77,7 +77,7 @@ class Reservation:
         beyond = np.flatnonzero(apart > KEPT_M) if n else np.zeros(0, np.int64)
         self.path, self.widths, self.at = path, widths.copy(), 0
         self.held_end = self.wanted_end = max(int(beyond[0]) if len(beyond) else n, min(n, 1))
-        self.number += 1
+        self._count(now)
         self._path_claim, self._claims = _Claim(self.number, 0, now), []
         return True
 
@@ -151,10 +151,14 @@ class Reservation:
         if len(places_left):
             self.held_end = self.at + held + int(places_left[-1]) + 1
 
+    def _count(self, now: int) -> None:
+        """Numbers from the clock, ms, are larger than those before a restart, which the others have answered."""
+        self.number = max(self.number + 1, now // 1_000_000)
+
     def _want(self, end: int, now: int) -> None:
         if end != self.wanted_end or not self._claims:
             self.wanted_end = end
-            self.number += 1
+            self._count(now)
             self._claims = [*self._claims[1 - MAX_CLAIMS :], _Claim(self.number, end, now)]
 
     def _answered_end(self, contesting: Sequence[TrafficRobot], now: int) -> int:

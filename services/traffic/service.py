@@ -4,26 +4,37 @@
 from dataclasses import replace
 
 import numpy as np
-from pydantic import Field
 
 from services.traffic.common_frame import CommonFrame, common_frame, moved_intent
+from services.traffic.config import TrafficConfig
 from services.traffic.conflicts import Clearances, order_of
+from services.traffic.floor import Floor
 from services.traffic.give_way import GivingWay
 from services.traffic.neighbours import Neighbours
 from services.traffic.outgoing import intent, no_other_robot, other_robots, right_of_way
 from services.traffic.passages import passage_widths, points_from_end
 from services.traffic.reservation import Reservation
 from shared import topics
-from shared.config import Robot, Section
+from shared.config import Robot
 from shared.geometry import Pose2
-from shared.grid import OccupancyGrid
-from shared.messages import ExplorationShare, Goal, MapState, MapUpdate, Path, PoseEstimate, Recovery, RobotIntent
+from shared.messages import (
+    ExplorationShare,
+    Goal,
+    MapState,
+    MapUpdate,
+    Path,
+    PoseEstimate,
+    Recovery,
+    RobotIntent,
+    Zones,
+)
 from shared.orders import Order, is_newer
 from shared.pose_tracker import PoseTracker
 from shared.service import Out, Service, every, on
 from shared.types import NS_PER_S
 
 ALONE_EVERY = 5  # ticks between two messages while no other robot is heard
+ALONE_FROM = 12  # ticks after the start, longer than a lease, at which the robot is said to be alone
 SAME_GOAL_M = 0.1  # between two goals of one task
 TASK_GAP_NS = 15 * NS_PER_S
 """ns without a goal after which a goal at the same place is a new task: recoveries and pauses are shorter."""
@@ -32,21 +43,11 @@ MAX_POSE_AGE_NS = NS_PER_S
 SPEED_SETTLING = 0.4  # share of the newest step in the speed
 
 
-class TrafficConfig(Section):
-    """The right of way among robots on one map."""
-
-    priority: int = Field(0, ge=0, le=9, description="1: the robot with the higher one goes first")
-    beside: float = Field(
-        0.25, ge=0.05, le=2, description="m between the outlines of two robots whose paths may be driven at once"
-    )
-    passing: float = Field(
-        0.2, ge=0, le=2, description="m beside and between two robots that pass each other; else the passage is narrow"
-    )
-    reach: float = Field(3.0, ge=1, le=20, description="m of free way ahead that the robot asks for in time")
-
-
 class TrafficService(Service):
-    """One robot's part of the traffic. Without another robot on its map it says nothing to its own services."""
+    """One robot's part of the traffic. Without another robot on its map it says so to its own services, and no more.
+
+    It says so once after its start, too: what a process before it said of other robots would hold for ever.
+    """
 
     config_type = TrafficConfig
     config: TrafficConfig
@@ -56,13 +57,13 @@ class TrafficService(Service):
         self.clearances = Clearances(config.beside, config.passing)
         self.reservation = Reservation(robot.name, robot.circumscribed_radius, self.clearances, config.reach)
         self.giving_way, self.neighbours = GivingWay(), Neighbours()
-        self.grid, self.map_name = OccupancyGrid(), ""
+        self.floor, self.map_name = Floor(robot.circumscribed_radius), ""
         self.share: ExplorationShare | None = None
         self.frame = CommonFrame()
         self.pose_tracker, self.pose_stamp, self.v, self.w = PoseTracker(), 0, 0.0, 0.0
         self.order: Order | None = None
         self.plan: Path | None = None
-        self._taken: tuple[Path | None, int] = None, 0  # the plan that the reservation has, and the map of its widths
+        self._taken: tuple[Path | None, int] = None, 0  # the plan that the reservation has, and the floor of its widths
         self.target: tuple[Pose2, int, int] | None = None  # of the task: goal, its begin, when it was last active, ns
         self.is_active = False
         self.n_ticks = 0
@@ -76,7 +77,12 @@ class TrafficService(Service):
 
     @on(topics.MAP)
     def map(self, update: MapUpdate) -> Out:
-        self.grid.apply(update)
+        self.floor.apply(update)
+        return ()
+
+    @on(topics.ZONES)
+    def zones(self, zones: Zones) -> Out:
+        self.floor.set_zones(zones)
         return ()
 
     @on(topics.MAP_STATE)
@@ -162,7 +168,7 @@ class TrafficService(Service):
             self._take_plan()
             yield from self._decide()
             yield topics.OTHER_ROBOTS(other_robots(there, self.now))
-        elif self.is_active:
+        elif self.is_active or self.n_ticks == ALONE_FROM:
             self.is_active = False
             self.giving_way.end()
             yield topics.RIGHT_OF_WAY(no_other_robot(self.now))
@@ -198,12 +204,14 @@ class TrafficService(Service):
     def _take_plan(self) -> bool:
         """Gives the reservation the present plan. Returns whether it is another path."""
         here = self.pose_tracker.map_from_base
-        plan, version = self._taken
-        if here is None or self.plan is None or (self.plan is plan and self.grid.version == version):
+        if here is None or self.plan is None:
             return False
-        self._taken = self.plan, self.grid.version
+        grid, (plan, version) = self.floor.grid(here), self._taken
+        if self.plan is plan and self.floor.version == version:
+            return False
+        self._taken = self.plan, self.floor.version
         points = points_from_end(np.column_stack((self.plan.xs, self.plan.ys)))
-        return self.reservation.set_path(points, passage_widths(points, self.grid), here.x, here.y, self.now)
+        return self.reservation.set_path(points, passage_widths(points, grid), here.x, here.y, self.now)
 
     def _decide(self) -> Out:
         here = self.pose_tracker.map_from_base
@@ -214,7 +222,7 @@ class TrafficService(Service):
         self.reservation.move(here.x, here.y)
         self.reservation.update(here.x, here.y, order, others, self.now)
         me = replace(self.reservation.told(here.x, here.y, order), stuck=self.giving_way.stuck)
-        self.giving_way.update(me, others, self.grid, self.clearances, self.now)
+        self.giving_way.update(me, others, self.floor.grid(here), self.clearances, self.now)
         silent = [neighbour.robot for neighbour in self.neighbours.silent(self.frame.name, self.now)]
         unheard = [*silent, *(robot for robot in others if robot.name in self.reservation.deaf)]
         standing = self.neighbours.standing(self.frame.name, self.now)

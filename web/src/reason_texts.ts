@@ -70,6 +70,7 @@ export const REASON_TEXTS: Readonly<Record<string, ReasonText>> = {
   goal_blocked: { de: ["Das Ziel liegt in oder an einem Hindernis", "Wähle ein Ziel mit Platz für den Roboter."] },
   goal_unknown: { de: ["Das Ziel liegt in unbekanntem Gebiet", "Erkunde zuerst."], hint: "Explore first." },
   goal_keep_out: { de: ["Das Ziel liegt in einer Sperrzone", "Wähle ein anderes Ziel, oder lösche die Zone."], hint: "Choose another goal, or delete the zone." },
+  start_outside: { de: ["Der Roboter steht außerhalb der Karte", "Gib seine Pose an, oder lade die Karte dieses Ortes."], hint: "Give its pose, or load the map of this place." },
   start_blocked: { de: ["Der Roboter steht in einem Hindernis der Karte", "Fahre ihn von Hand frei."] },
   unreachable: { de: ["Kein Weg führt zum Ziel", "Öffne einen Weg, oder wähle ein anderes Ziel."] },
   no_room_to_turn: { de: ["Kein Weg aus fahrbaren Bögen führt zum Ziel", "Versetze Ziel oder Roboter, oder erlaube jede Richtung."] },

@@ -119,7 +119,7 @@ class Dispatcher:
 
 
 class NoLinkError(UserError):
-    """The robot's stack cannot be reached, so it never got the request."""
+    """The robot's stack or its navigator cannot be reached, so it never got the request."""
 
 
 class RobotLink:
@@ -136,7 +136,7 @@ class RobotLink:
             except UserError as error:
                 raise NoLinkError(error.what, error.hint) from None
             if not client.answers(requests.NAVIGATE, 1.0):
-                raise UserError("its navigator does not answer", "is it running? zenav fleet list shows its state")
+                raise NoLinkError("its navigator is not there", "is it running? zenav fleet list shows its state")
             try:
                 reply = client.ask(requests.NAVIGATE, replace(request, stamp=client.now()))
             except UserError:

@@ -23,7 +23,7 @@ VERSION = 1
 MAX_TRIES = 3  # robots that fail a task until it is given up
 BUSY_S = 5.0  # s that one process waits for another one's writing
 SCHEMA = """
-CREATE TABLE task (
+CREATE TABLE IF NOT EXISTS task (
   id INTEGER PRIMARY KEY AUTOINCREMENT, text TEXT NOT NULL, targets TEXT NOT NULL, only_robot TEXT NOT NULL,
   state TEXT NOT NULL, robot TEXT NOT NULL, stack TEXT NOT NULL, former_id INTEGER NOT NULL, navigator_id INTEGER,
   failed TEXT NOT NULL, detail TEXT NOT NULL, added REAL NOT NULL, changed REAL NOT NULL
@@ -75,7 +75,8 @@ class TaskQueue:
         self._path = path
         with self._errors():
             self._file = sqlite3.connect(path, timeout=BUSY_S, isolation_level=None)
-            version, tables = self._one("PRAGMA user_version")[0], self._one("SELECT count(*) FROM sqlite_master")[0]
+            # the tables first: another process may make the queue meanwhile
+            tables, version = self._one("SELECT count(*) FROM sqlite_master")[0], self._one("PRAGMA user_version")[0]
             if not version and not tables:
                 self._file.executescript(f"BEGIN IMMEDIATE; {SCHEMA}; PRAGMA user_version = {VERSION}; COMMIT")
             elif version != VERSION:

@@ -24,3 +24,5 @@ BOARDS: dict[str, Callable[[SerialBoardConfig, Robot], BoardDevice]] = {
     "odrive": OdriveBoard,
 }
 MODELS_WITH_GYRO = ("velocity", "kobuki")
+MODELS_WITH_ODOMETRY = ("velocity",)
+"""Boards that a base with robot.drive.kind velocity may have: the others only count wheels."""

@@ -71,7 +71,8 @@ class VelocityBoard(WheelDevice):
         for line in self._reader.lines(data):
             fields = line_fields(line)
             if fields is None or not self._decode(fields, stamp, now, received):
-                self.counts.n_bad += fields is not None or b"*" in line
+                self.counts.n_unreadable += fields is not None
+                self.counts.n_bad += fields is None and b"*" in line
                 self.counts.n_resyncs += 1
                 self.counts.n_skipped += len(line)
         return received

@@ -11,7 +11,7 @@ from shared.codec import CodecError, Envelope, decode, encode
 from shared.config import Robot, UserError, configured, load_robot
 from shared.geometry import Pose2
 from shared.messages import BaseOdometry, EmergencyStop, Velocity
-from tests.unit.services.base_driver.boards.wired import WiredBoard
+from tests.unit.services.base_driver.boards.wired import MODELS, WiredBoard
 
 ROBOT = load_robot("turtlebot3_burger").robot
 MS = 1_000_000
@@ -183,3 +183,9 @@ def test_a_board_that_sends_the_other_kind_says_which_setting_is_wrong():
     status = wired.status()
     assert status.fault == "base_fault"
     assert status.detail.startswith("the board sends poses: set robot.drive.kind: velocity")
+
+
+@pytest.mark.parametrize("model", [model for model in MODELS if model != "velocity"])
+def test_a_board_that_only_counts_wheels_is_refused_for_a_velocity_base(model):
+    with pytest.raises(UserError, match=f"drive.kind: velocity does not fit the board {model}, which only counts"):
+        WiredBoard(model, kind="velocity")

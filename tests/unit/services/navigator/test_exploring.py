@@ -223,6 +223,16 @@ def test_without_a_map_it_waits_and_then_fails():
     assert (robot.status.state, robot.status.reason) == (NavState.FAILED, reasons.NO_MAP.code)
 
 
+def test_outside_of_the_map_it_waits_for_a_pose_and_then_says_so():
+    robot = Explorer(OFFICE, 1.2, 3.3)
+    robot.run(1.0)
+    robot.pose = Pose2(-50.0, 3.3)
+    robot.see = lambda: None
+    robot.explore()
+    assert robot.run(60, until=ENDS) < 25
+    assert (robot.status.state, robot.status.reason) == (NavState.FAILED, reasons.START_OUTSIDE.code)
+
+
 def test_a_search_whose_result_never_comes_is_asked_for_again():
     robot = Explorer(OFFICE, 1.2, 3.3)
     robot.explore()

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -160,6 +161,26 @@ def test_a_route_that_passes_through_stops_at_its_last_pose_only_whose_heading_a
     assert bench.status.state is NavState.REACHED
 
 
+def test_a_pose_is_passed_by_the_way_of_its_own_plan_and_not_of_the_one_before():
+    """The second pose lies beside the first one, behind a wall."""
+    bench = NavigatorBench()
+    poses = (Pose2(2.0, 0.0), Pose2(2.0, 0.3), Pose2(9.0, 0.0))
+    bench.ask("navigate", Navigate(bench.now, poses, 0.0, 1, True, dwells=(0.0,) * 3, pass_through=True))
+    bench.pose = Pose2(1.6, 0.0)
+    bench.step()
+    bench.follow_state = FollowState.FOLLOWING
+    bench.step()
+    assert bench.status.waypoint == 0
+    assert bench.goal.map_from_goal == poses[1]
+    seen = []
+    for length in (None, 8.0, 0.65):
+        if length is not None:
+            bench.call("plan", replace(bench.path(), length=length))
+        bench.call("follow", FollowStatus(bench.now, bench.goal.id, FollowState.FOLLOWING, "", 0.6))
+        seen.append(bench.goal.map_from_goal)
+    assert seen == [poses[1], poses[1], poses[2]]
+
+
 def test_a_pose_that_wants_a_heading_and_a_patrol_of_one_place_are_not_passed():
     for poses, any_heading in (((Pose2(1.0, 0.0), Pose2(2.0, 0.0)), False), ((Pose2(1.0, 0.0),), True)):
         bench = NavigatorBench()
@@ -168,6 +189,22 @@ def test_a_pose_that_wants_a_heading_and_a_patrol_of_one_place_are_not_passed():
         bench.pose = Pose2(0.9, 0.0)
         bench.run(1)
         assert len(bench.orders) == 1
+
+
+def test_a_recovery_that_the_limits_of_local_control_forbid_is_followed_by_the_next_one_at_once():
+    """As with local_ctrl.max_reverse_speed 0 on a robot that may drive backward."""
+    bench = NavigatorBench()
+    bench.follow_state = FollowState.BLOCKED
+    bench.go(FAR)
+    while not bench.recoveries:
+        bench.step()
+    (backs_up,) = bench.recoveries
+    bench.follow_reason = reasons.NO_REVERSE.code
+    bench.act = lambda: FollowState.FAILED if bench.orders[-1] is backs_up else FollowState.FOLLOWING
+    bench.run(0.3)
+    assert [order.kind for order in bench.recoveries] == [RecoveryKind.BACK_UP, RecoveryKind.TURN]
+    assert bench.orders[-2:] == [backs_up, bench.recoveries[-1]]
+    assert (bench.status.recovery, bench.status.n_recoveries) == ("turn_left", 4)
 
 
 def test_a_recovery_is_told_with_its_place_in_the_order_and_its_cause():

@@ -163,8 +163,8 @@ def test_a_goal_behind_walls_is_unreachable():
     assert way(terrain_of(wall_with_door(1, 0.0)), (1.0, 1.0, 0), (7.0, 1.0, 0)).reason is reasons.UNREACHABLE
 
 
-def test_a_robot_outside_of_the_map_has_no_map():
-    assert way(terrain_of(room(3, 3)), (-5.0, 1.0, 0), (1.0, 1.0, 0)).reason is reasons.NO_MAP
+def test_a_robot_outside_of_the_map_has_a_reason_of_its_own():
+    assert way(terrain_of(room(3, 3)), (-5.0, 1.0, 0), (1.0, 1.0, 0)).reason is reasons.START_OUTSIDE
 
 
 def test_a_robot_close_to_a_wall_leaves_it_straight_away():

@@ -345,6 +345,7 @@ def failed(core: Core, action: str, type_: str, ask: dict[str, Any], *causes: st
     ("causes", "to_pose", "through"),
     [
         (("goal_outside",), 204, 304),
+        (("start_outside",), 203, 303),
         (("start_blocked",), 205, 305),
         (("goal_blocked",), 206, 306),
         (("goal_keep_out",), 206, 306),

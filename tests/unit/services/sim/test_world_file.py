@@ -104,6 +104,8 @@ BAD = [
     ("built: 2001-99-99\n", ": not valid YAML", "month must be in 1..12"),
     ("- 1\n", "not a mapping", ""),
     ("start: {x: .nan, y: 0}\n", ":1: start.x", ""),
+    ("bounds: [4, 3, 0, 0]\n", "bounds: low x, low y, high x, high y", ""),
+    ("bounds: [0, 0, 0, 3]\n", "bounds: low x, low y, high x, high y", ""),
     ("map: nowhere.yaml\n", "nowhere.yaml", ""),
 ]
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from services.traffic.common_frame import EXPLORES_NS, CommonFrame, common_frame, moved_intent
-from services.traffic.service import TrafficConfig, TrafficService
+from services.traffic.config import TrafficConfig
+from services.traffic.service import TrafficService
 from shared import sample_messages as sample
 from shared import topics
 from shared.config import load_robot

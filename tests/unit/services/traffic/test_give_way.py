@@ -36,6 +36,13 @@ def test_a_refuge_is_farther_from_a_path_than_the_tolerance_of_arriving_takes_aw
     assert apart >= reach_of(red, blue, CLEARANCES) + SLACK_M
 
 
+@pytest.mark.parametrize(("x", "y"), [(4.0, 1.6), (1.6, 5.0), (-0.5, 1.6), (-14.0, 1.6), (1.6, -14.0)])
+def test_a_robot_outside_of_the_map_has_no_refuge(x, y):
+    blue = robot("blue", 2.6, 1.6, ALONG, held=1)
+    assert refuge(floor(), robot("red", x, y), [blue], CLEARANCES) is None
+    assert refuge(OccupancyGrid(), robot("red", x, y), [blue], CLEARANCES) is None
+
+
 @pytest.fixture
 def giving():
     """Red makes way for blue, and stands at its refuge."""

@@ -213,3 +213,26 @@ def test_a_priority_counts_before_the_age_of_the_task(priority, first):
     orders = {"a": order_of("a", 0, 1, False), "b": order_of("b", priority, 2, False)}
     assert min(orders, key=orders.__getitem__) == first
     assert order_of("c", 0, 9, True) < orders[first], "a robot that makes way goes before all"
+
+
+def test_a_robot_that_is_started_again_waits_for_the_answers_to_its_new_claims():
+    """Blue's narrow path crosses that of red, and blue has answered red's claims from before the restart."""
+    order, now = order_of("red", 0, 0, False), 10**12
+    path = CELL * np.array([(x, 0) for x in range(12)], float)
+    across = CELL * np.array([(2, 5 - y) for y in range(11)], float)
+    blue = TrafficRobot("blue", *across[0], RADIUS, order_of("blue", 0, 1, False), across, np.zeros(11), held=1)
+
+    def begin(reservation):
+        reservation.set_path(path, np.zeros(12), 0.0, 0.0, now)
+        reservation.update(0.0, 0.0, order, [blue], now)
+
+    before, after = (Reservation("red", RADIUS, CLEARANCES, reach=3 * CELL) for _ in range(2))
+    for _ in range(5):
+        before.set_path(path + CELL, np.zeros(12), 0.0, 0.0, now)
+        begin(before)
+    now += NS_PER_S
+    begin(after)
+    after.update(0.0, 0.0, order, [replace(blue, heard={"red": before.number})], now)
+    assert after.held == 1
+    after.update(0.0, 0.0, order, [replace(blue, heard={"red": after.number})], now)
+    assert after.held > 3

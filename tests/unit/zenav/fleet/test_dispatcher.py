@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The dispatcher with made-up robots: lost, stopped, refusing, taken over; and a dispatcher that was started again."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from shared.messages import BaseStatus, GuardState, GuardStatus, Localization, N
 from shared.robot_view import RobotView
 from shared.runners import transport
 from zenav.client.navigation_client import navigate
+from zenav.fleet import dispatcher
 from zenav.fleet.assignment import RETRY_S, straight
 from zenav.fleet.dispatcher import UNCLEAR_S, Dispatcher, NoLinkError, RobotLink
 from zenav.fleet.task_queue import TaskQueue, TaskState
@@ -202,6 +204,18 @@ def test_a_stack_that_cannot_be_reached_ends_no_dispatcher(monkeypatch):
     with pytest.raises(NoLinkError, match="no router answers"):
         RobotLink().send("blue", "0", navigate([LAB], 0.0, 1))
     RobotLink().cancel("blue", "0")
+
+
+def test_a_robot_whose_navigator_is_away_was_not_asked(monkeypatch):
+    class Away:
+        """A link to a router that the robot has just left."""
+
+        def answers(self, request, timeout):
+            return False
+
+    monkeypatch.setattr(dispatcher, "Client", lambda *_: nullcontext(Away()))
+    with pytest.raises(NoLinkError, match="its navigator is not there"):
+        RobotLink().send("blue", "0", navigate([LAB], 0.0, 1))
 
 
 def test_a_dispatcher_that_was_started_again_goes_on_with_the_task_that_the_robot_drives():

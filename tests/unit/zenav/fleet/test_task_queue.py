@@ -54,6 +54,24 @@ def test_what_was_added_before_a_kill_is_there_and_the_file_goes_on(path):
         assert queue.add("next", LAB, "", 0.0) == 22
 
 
+@pytest.mark.parametrize("after", ["PRAGMA user_version", "SELECT count(*) FROM sqlite_master"])
+def test_two_processes_may_begin_a_queue_at_once(path, monkeypatch, after):
+    read, others = TaskQueue._one, []
+
+    def read_and_fall_behind(queue, query):
+        answer = read(queue, query)
+        if query == after and not others:
+            others.append(path)
+            with TaskQueue(path) as other:
+                other.add("lab", LAB, "", 0.0)
+        return answer
+
+    monkeypatch.setattr(TaskQueue, "_one", read_and_fall_behind)
+    with TaskQueue(path) as queue:
+        assert queue.add("kitchen", LAB, "", 1.0) == 2
+        assert [task.text for task in queue.tasks()] == ["lab", "kitchen"]
+
+
 def test_of_two_that_assign_a_task_one_wins(path):
     with TaskQueue(path) as queue, TaskQueue(path) as other:
         queue.add("lab", LAB, "", 0.0)

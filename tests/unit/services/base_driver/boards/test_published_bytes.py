@@ -101,6 +101,20 @@ def test_a_line_with_other_fields_is_no_report(fields):
     device: VelocityBoard = wired.service.serial.device
     received = device.receive(framed_line(*fields), 1, 1)
     assert (received.report, received.n_reports, device.counts.n_good) == (None, 0, 0)
+    assert (device.counts.n_bad, device.counts.n_unreadable) == (0, 1)
+
+
+def test_a_velocity_board_with_other_fields_is_not_said_to_have_wrong_checksums():
+    wired = WiredBoard("velocity").run(0.2, 0.0)
+    wired.is_connected = False
+    for k in range(40):
+        wired.say(framed_line(b"T", k, 20 * k, 0, 0, 7400, "", 1, 2, 3))
+        wired.run(0.02)
+    status = wired.status()
+    assert status.fault == "board_silent"
+    assert "right checksums, but their fields are wrong" in status.detail
+    wired.say(b"$T,1,20,0,0,7400,,1,2*0000\n")
+    assert wired.service.serial.device.counts.n_bad == 1
 
 
 def velocity_board_takes(*lines):
