@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from shared.config import Mount
-from shared.geometry import Pose2, interpolated
+from shared.geometry import Pose2, interpolated, wrapped
 from shared.messages import LaserScan, Message, Odometry
 from zenav.convert.records import DriveLog, LoggedPose, LoggedScan
 
@@ -82,10 +82,11 @@ def mount_of(scans: list[LoggedScan]) -> Mount:
     rows = np.array(
         [(p.x, p.y, p.yaw) for p in (scan.odom_from_base.inverse() @ scan.odom_from_laser for scan in scans)]
     )
+    rows[:, 2] = np.unwrap(rows[:, 2])  # of a laser that looks back, pi and -pi are one heading
     middle = np.median(rows, axis=0)
     if np.abs(rows - middle).max() > 0.01 or np.abs(middle[:2]).max() > MAX_MOUNT_M + ROUNDING_M:
         return Mount()
-    return Mount(x=float(middle[0]), y=float(middle[1]), yaw=float(middle[2]))
+    return Mount(x=float(middle[0]), y=float(middle[1]), yaw=wrapped(float(middle[2])))
 
 
 def log_of(content: Content) -> DriveLog:

@@ -68,6 +68,16 @@ def far_out():
     return Content([("odom", odometry), ("scan", scan)], Mount(x=0.0, y=2.0, yaw=0.0))
 
 
+def looking_back():
+    """A laser that looks back, on a base that turns: its heading is pi or -pi, as the last bit falls."""
+    messages = []
+    for k in range(8):
+        stamp = (1_700_000_000 + k) * NS_PER_S
+        messages.append(("odom", Odometry(stamp, Pose2(0.1 * k, 0.0, 0.7 * k % 3), 0.0, 0.0, np.arange(9.0))))
+        messages.append(("scan", LaserScan(stamp, -1.5, 0.1, 0.0, 0.0625, 30.0, np.ones(2, np.float32))))
+    return Content(messages, Mount(x=-0.2, y=0.0, yaw=np.pi))
+
+
 def written(content, to, folder):
     out = folder / NAMES[to]
     FORMATS[to].write(Conversion(Path(__file__), content, out, "", lambda share: None))
@@ -82,6 +92,7 @@ def near(a, b, tolerance=1e-6):
 @settings(max_examples=12, deadline=None)
 @given(content=contents())
 @example(content=far_out())
+@example(content=looking_back())
 def test_what_is_written_reads_back(to, content, tmp_path_factory):
     """Ranges to float32, poses to 1e-6, stamps to the nanosecond (in CARMEN logs, to the microsecond)."""
     back = read_content(written(content, to, tmp_path_factory.mktemp("out")), Choice())
