@@ -65,7 +65,7 @@ def far_out():
     stamp = 1_700_000_000 * NS_PER_S
     odometry = Odometry(stamp, Pose2(0.0, 150.0, 2.0), 0.0, 0.0, np.arange(9.0))
     scan = LaserScan(stamp, -1.5, -0.1, 0.0, 0.0625, 30.0, np.ones(2, np.float32))
-    return Content([("odom", odometry), ("scan", scan)], Mount(x=0.0, y=2.0, yaw=0.0))
+    return Content([("odom", odometry), ("scan", scan)], Mount(x=0.0, y=5.0, yaw=0.0))
 
 
 def looking_back():
