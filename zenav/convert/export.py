@@ -108,6 +108,8 @@ def _check(source: Path, out: Path, force: bool) -> None:
         return
     if out.samefile(source) or (source.is_dir() and source.resolve() in out.resolve().parents):
         raise UserError(f"{out} is what is to be read", "choose another name")
+    if out.resolve() in source.resolve().parents:
+        raise UserError(f"{out} is the folder of what is to be read", "choose another name")
     if not force:
         raise UserError(f"{out} exists", "choose another name, or overwrite it: --force")
     check_not_written(out)

@@ -22,7 +22,7 @@ from shared.messages import LaserScan, Localization, MapUpdate, Odometry, PoseEs
 from shared.recording import Recording
 from shared.ros_map import read_ros_map
 from shared.types import NS_PER_S
-from tests.unit.zenav.convert.bags import small
+from tests.unit.zenav.convert.bags import file_of, small
 from zenav.__main__ import _status
 from zenav.convert.content import Choice, Content
 from zenav.convert.conversion import Conversion
@@ -244,6 +244,14 @@ def test_a_map_that_is_written_over_leaves_the_other_files_of_its_folder(tmp_pat
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before | dict.fromkeys(
         ("places.yaml", "zones.yaml", "notes.txt"), b"kept"
     )
+
+
+def test_a_bag_is_not_written_over_by_what_is_read_from_it(tmp_path):
+    bag = small().write(tmp_path / "bag")
+    before = {path.name: path.read_bytes() for path in bag.iterdir()}
+    with pytest.raises(UserError, match="the folder of what is to be read"):
+        convert(file_of(bag), bag, "ros2", Choice(), "", True)
+    assert {path.name: path.read_bytes() for path in bag.iterdir()} == before
 
 
 # --- trajectories ---------------------------------------------------------------------------------------------------
