@@ -33,8 +33,7 @@ def replace_together(folder: Path, contents: Mapping[str, bytes]) -> None:
 
 def read_together(folder: Path, name: str, max_bytes: int = 1 << 31) -> bytes:
     """A file's content. Raises UserError where it cannot be read or is over `max_bytes`."""
-    with suppress(OSError):  # where nothing may be written, it is read from where it is
-        finish_replacing(folder)
+    settle(folder)
     moved = folder / SAVED / name
     path = moved if moved.exists() else folder / name
     try:
@@ -43,6 +42,12 @@ def read_together(folder: Path, name: str, max_bytes: int = 1 << 31) -> bytes:
         return path.read_bytes()
     except OSError as error:
         raise UserError(f"cannot read {path}: {error.strerror}", "give the folder of a saved map") from None
+
+
+def settle(folder: Path) -> None:
+    """`finish_replacing` before a folder is read; where nothing may be written, the folder stays as it is."""
+    with suppress(OSError):
+        finish_replacing(folder)
 
 
 def finish_replacing(folder: Path) -> None:
