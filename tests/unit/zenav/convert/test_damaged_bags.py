@@ -171,6 +171,19 @@ def test_an_mcap_chunk_that_is_damaged_costs_itself(tmp_path):
     assert any("chunk" in note for note in told)
 
 
+@pytest.mark.parametrize("part", ["the folder", "its file"])
+def test_a_compressed_bag_that_finds_no_room_is_refused_in_a_line(part, tmp_path, monkeypatch):
+    bag = small("mcap-file").write(tmp_path / "bag")
+
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("tempfile.mkdtemp", full)
+    with pytest.raises(UserError, match="No space left") as error:
+        read_log(bag if part == "the folder" else file_of(bag), Choice())
+    assert "TMPDIR" in error.value.hint
+
+
 def test_an_mcap_file_of_something_else_says_of_what(tmp_path):
     path = tmp_path / "other.mcap"
     with path.open("wb") as file:
