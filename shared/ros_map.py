@@ -18,6 +18,8 @@ MODES = ("trinary", "scale", "raw")
 OCCUPIED_SHARE, FREE_SHARE = 0.65, 0.196  # map_saver's thresholds
 OCCUPIED_GREY, FREE_GREY, UNKNOWN_GREY = 0, 254, 205  # as map_saver writes them
 MAX_PIXELS = 80_000_000  # 450 x 450 m at 5 cm; Pillow warns from 89 million on
+MIN_RESOLUTION, MAX_RESOLUTION = 0.001, 10.0  # m a cell
+MAX_ORIGIN_M = 90_000.0  # the tiles of a MapUpdate reach 96 km at 5 cm a cell
 PICTURES = ("PPM", "PNG", "BMP", "GIF", "JPEG", "TIFF")  # as map_server reads; others of Pillow's run programs
 KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 
@@ -54,10 +56,12 @@ def read_turned_ros_map(path: Path) -> tuple[Int8s, float, float, float, float]:
         raise UserError(
             f"{path}: resolution, origin, thresholds and negate must be numbers", "origin: [x, y, yaw]"
         ) from None
-    if not all(isfinite(v) for v in (resolution, occupied_from, free_up_to, x0, y0, yaw)) or not 0 < resolution <= 10:
-        raise UserError(
-            f"{path}: resolution {resolution} m a cell, origin {x0}, {y0}", "they must be finite and over 0"
-        )
+    if not all(isfinite(v) for v in (resolution, occupied_from, free_up_to, x0, y0, yaw)):
+        raise UserError(f"{path}: resolution {resolution} m a cell, origin {x0}, {y0}", "they must be finite")
+    if not MIN_RESOLUTION <= resolution <= MAX_RESOLUTION:
+        raise UserError(f"{path}: resolution {resolution:g} m a cell", f"from {MIN_RESOLUTION:g} to {MAX_RESOLUTION:g}")
+    if max(abs(x0), abs(y0)) > MAX_ORIGIN_M:
+        raise UserError(f"{path}: the origin {x0:g}, {y0:g} m is too far away", f"at most {MAX_ORIGIN_M:g} m")
     if mode not in MODES:
         raise UserError(f"{path}: mode {mode} is not known", "trinary, scale or raw")
     if not 0 <= free_up_to < occupied_from <= 1:

@@ -9,12 +9,16 @@ from typing import Any
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
 
+from services.odometry.dead_reckoning import DeadReckoningConfig
 from shared.config import LASER_KEYS, Robot, RobotFile, Section, UserError, load_robot, section_of
 from shared.robot_files import is_installed, own_name_and_kind
 from shared.ros_map import replace_file
 
 Values = Mapping[str, float | int]
 """Setting -> value: {"robot.drive.wheel_distance": 0.2857}."""
+
+SECTIONS: Mapping[str, type[Section]] = {"robot": Robot, "odometry": DeadReckoningConfig}
+"""By name, those that a calibration changes."""
 
 INDENTS = ((4, 2), (2, 0))
 """(spaces to a list's items, of which before the dash), as people write them."""
@@ -65,7 +69,8 @@ def write(robot: str, values: Values) -> Path:
     yaml = layout(before, file.tree)
     for key, value in values.items():
         _put(file.tree, key.split("."), value)
-    file.section("robot", Robot)  # raises where it is not valid
+    for name in {key.partition(".")[0] for key in values}:
+        file.section(name, SECTIONS[name])  # raises where it is not valid
     text = yaml_text(yaml, file.tree)
     again = RobotFile(file.path, YAML(typ="rt").load(text))
     if again.tree != file.tree:

@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from shared.config import Mount
-from shared.geometry import Pose2, interpolated
+from shared.geometry import Pose2, interpolated, wrapped
 from shared.messages import LaserScan, Message, Odometry
 from zenav.convert.records import DriveLog, LoggedPose, LoggedScan
 
-MAX_MOUNT_M = 2.0  # from the base to its laser; what is farther off is another thing
+MAX_MOUNT_M = 5.0  # from the base to its laser, as a robot's file has it; what is farther off is another thing
 ROUNDING_M = 1e-4  # of poses in a log, seen from each other
 NO_RETURN = 0.98  # of the largest range in the log: the scanner's way to say that nothing came back
 
@@ -82,10 +82,12 @@ def mount_of(scans: list[LoggedScan]) -> Mount:
     rows = np.array(
         [(p.x, p.y, p.yaw) for p in (scan.odom_from_base.inverse() @ scan.odom_from_laser for scan in scans)]
     )
+    rows[:, 2] = np.unwrap(rows[:, 2])  # of a laser that looks back, pi and -pi are one heading
     middle = np.median(rows, axis=0)
     if np.abs(rows - middle).max() > 0.01 or np.abs(middle[:2]).max() > MAX_MOUNT_M + ROUNDING_M:
         return Mount()
-    return Mount(x=float(middle[0]), y=float(middle[1]), yaw=float(middle[2]))
+    x, y = (float(v) for v in np.clip(middle[:2], -MAX_MOUNT_M, MAX_MOUNT_M))
+    return Mount(x=x, y=y, yaw=wrapped(float(middle[2])))
 
 
 def log_of(content: Content) -> DriveLog:

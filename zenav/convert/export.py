@@ -29,6 +29,7 @@ from zenav.convert.records import LoggedScan
 from zenav.convert.ros_export import write_ros1, write_ros2, write_ros2_sqlite
 from zenav.convert.source import read_content
 from zenav.convert.stack_log import is_recording
+from zenav.recording.selection import check_not_written
 
 LATEST = 2**31 * 10**9  # ns: what ROS has no stamp for is damage
 TRAJECTORIES = "pose", "odom", "truth"
@@ -107,8 +108,11 @@ def _check(source: Path, out: Path, force: bool) -> None:
         return
     if out.samefile(source) or (source.is_dir() and source.resolve() in out.resolve().parents):
         raise UserError(f"{out} is what is to be read", "choose another name")
+    if out.resolve() in source.resolve().parents:
+        raise UserError(f"{out} is the folder of what is to be read", "choose another name")
     if not force:
         raise UserError(f"{out} exists", "choose another name, or overwrite it: --force")
+    check_not_written(out)
     if out.is_dir() and not any((out / name).is_file() for name in ("metadata.yaml", "map.yaml")):
         raise UserError(f"{out} is a folder, and neither a bag nor a map", "choose another name: it stays")
 

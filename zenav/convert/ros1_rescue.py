@@ -74,14 +74,17 @@ def _messages(path: Path, lost: list[str]) -> Iterator[Message]:
         begin = content.find(b"\n") + 1
         if content[:begin] != b"#ROSBAG V2.0\n":
             raise UserError(f"{path}: a ROS bag of another version than 2.0", "bring it up to date: rosbag fix")
+        # the index at the end has each topic again, whose first chunk may be damaged
+        for record in records(content, begin, []):
+            if record.op == CONNECTION:
+                topics[_number(record)] = _topic(content, record)
         for source, record in _flat(content, begin, gaps):
             if source is None:
                 n_chunks += 1
                 continue
-            number = record.fields.get(b"conn", b"")
+            number = _number(record)
             if record.op == CONNECTION:
-                fields = _fields(source[record.start : record.end]) or {}
-                topics[number] = _text(record.fields.get(b"topic", b"")), _text(fields.get(b"type", b""))
+                topics[number] = _topic(source, record)
             elif record.op == MESSAGE and number in topics and len(record.fields.get(b"time", b"")) == 8:
                 seconds, nanoseconds = struct.unpack("<II", record.fields[b"time"])
                 yield *topics[number], seconds * 10**9 + nanoseconds, source[record.start : record.end]
@@ -93,6 +96,17 @@ def _messages(path: Path, lost: list[str]) -> Iterator[Message]:
         lost.append(f"{n_chunks} chunks do not unpack to their end")
     if n_orphans:
         lost.append(f"{n_orphans} messages belong to topics that are lost")
+
+
+def _number(record: BagRecord) -> bytes:
+    """Of a message's topic, or of a topic."""
+    return record.fields.get(b"conn", b"")
+
+
+def _topic(source: Bytes, record: BagRecord) -> tuple[str, str]:
+    """Name and type of a connection's topic."""
+    fields = _fields(source[record.start : record.end]) or {}
+    return _text(record.fields.get(b"topic", b"")), _text(fields.get(b"type", b""))
 
 
 def _flat(content: Bytes, begin: int, gaps: list[int]) -> Iterator[tuple[Bytes | None, BagRecord]]:

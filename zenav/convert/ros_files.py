@@ -82,7 +82,11 @@ def read_bag(path: Path, wanted: frozenset[str]) -> BagContent:
 
     Raises UserError where that is nothing that ROS records, or nothing in it can be read.
     """
-    return _folder(path, wanted) if path.is_dir() else _file(path, wanted)
+    try:
+        return _folder(path, wanted) if path.is_dir() else _file(path, wanted)
+    except OSError as error:  # a file that was compressed or cut off is copied for reading
+        hint = "check the disk, and the room for temporary files: the environment variable TMPDIR chooses their folder"
+        raise UserError(f"cannot read {path}: {error.strerror or error}", hint) from None
 
 
 def _folder(path: Path, wanted: frozenset[str]) -> BagContent:

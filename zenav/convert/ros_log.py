@@ -17,7 +17,7 @@ from shared.ros_messages import GRID, ODOM, POSE, POSE_COVARIANCE, SCAN, TF, pos
 from shared.ros_readings import covariance, frame_name, laser_scan, stamp_of, transform_row
 from shared.types import Float64s, Int64s
 from zenav.convert import ros_messages as ros
-from zenav.convert.content import Choice, Content, odometry_at
+from zenav.convert.content import MAX_MOUNT_M, Choice, Content, odometry_at
 from zenav.convert.ros_files import BagContent, RawMessage, read_bag
 
 M = TypeVar("M", bound=Message)
@@ -283,7 +283,7 @@ class _LogReader:
         if mirrored:
             self.notes.append(f"the laser of {topic.topic} hangs upside-down: its beams were turned about")
         scans = self._made(topic, lambda m, stamp: laser_scan(m, stamp, mirrored), by_receipt)
-        if max(abs(mount.x), abs(mount.y)) > 5:
+        if max(abs(mount.x), abs(mount.y)) > MAX_MOUNT_M:
             raise UserError(
                 f"{self.path}: by tf the laser sits at {mount.x:.1f} {mount.y:.1f} m of {base}",
                 "name the robot's frame: --base-frame",

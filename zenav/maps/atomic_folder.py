@@ -3,13 +3,14 @@
 
 New files are written into `.saving` and synchronised to the disk. Renaming that folder to `.saved` is the one step in
 which the new files replace the old ones. Then each file is moved to its place. A process that finds a `.saved` finishes
-the move, or reads from it.
+the move, or reads from it. Processes that replace files of one folder do so one after the other.
 """
 
+import fcntl
 import os
 import shutil
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from shared.config import UserError
@@ -22,9 +23,10 @@ def replace_together(folder: Path, contents: Mapping[str, bytes]) -> None:
     """Writes files by name; one without a content is removed. Raises UserError where the folder refuses."""
     try:
         make_folder(folder)
-        finish_replacing(folder)
-        _write(folder, contents)
-        finish_replacing(folder)
+        with _locked(folder):
+            finish_replacing(folder)
+            _write(folder, contents)
+            finish_replacing(folder)
     except OSError as error:
         raise UserError(
             f"cannot write to {folder}: {error.strerror}", "check the path and the disk; what was there is whole"
@@ -33,8 +35,7 @@ def replace_together(folder: Path, contents: Mapping[str, bytes]) -> None:
 
 def read_together(folder: Path, name: str, max_bytes: int = 1 << 31) -> bytes:
     """A file's content. Raises UserError where it cannot be read or is over `max_bytes`."""
-    with suppress(OSError):  # where nothing may be written, it is read from where it is
-        finish_replacing(folder)
+    settle(folder)
     moved = folder / SAVED / name
     path = moved if moved.exists() else folder / name
     try:
@@ -43,6 +44,14 @@ def read_together(folder: Path, name: str, max_bytes: int = 1 << 31) -> bytes:
         return path.read_bytes()
     except OSError as error:
         raise UserError(f"cannot read {path}: {error.strerror}", "give the folder of a saved map") from None
+
+
+def settle(folder: Path) -> None:
+    """`finish_replacing` before a folder is read; where nothing may be written, the folder stays as it is."""
+    if not (folder / SAVED).is_dir():
+        return
+    with suppress(OSError), _locked(folder):
+        finish_replacing(folder)
 
 
 def finish_replacing(folder: Path) -> None:
@@ -78,6 +87,18 @@ def _write(folder: Path, contents: Mapping[str, bytes]) -> None:
         shutil.rmtree(new, ignore_errors=True)
         raise
     _to_disk(folder)
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Waits until no other process replaces files of the folder. The kernel releases the lock of a killed process."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):  # of a file system without locks
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
 
 
 def _to_disk(folder: Path) -> None:

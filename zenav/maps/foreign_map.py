@@ -6,10 +6,9 @@ from pathlib import Path
 from services.mapper.localization.grid_keyframes import saved_map_from_tiles
 from services.mapper.maps.map_file import SavedMap
 from shared.config import UserError
-from zenav.maps.map_files import update_of
+from zenav.maps.atomic_folder import settle
+from zenav.maps.map_files import YAML, update_of
 from zenav.maps.saved_map import GRAPH, read_saved_map
-
-YAML = "map.yaml"
 
 
 def read_map(place: Path, resolution: float) -> SavedMap:
@@ -19,6 +18,8 @@ def read_map(place: Path, resolution: float) -> SavedMap:
     damaged, foreign or a newer program's, or holds nothing to find a robot by.
     """
     picture = place if is_picture(place) else place / YAML
+    if picture.name == YAML:
+        settle(picture.parent)
     if picture is not place and ((place / GRAPH).is_file() or not picture.is_file()):
         return read_saved_map(place)
     try:

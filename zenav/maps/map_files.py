@@ -11,11 +11,12 @@ from shared.messages import MapUpdate
 from shared.reasons import NO_SUCH_MAP
 from shared.ros_map import read_ros_map, ros_map_files
 from shared.types import Int8s
-from zenav.maps.atomic_folder import replace_together
+from zenav.maps.atomic_folder import replace_together, settle
 from zenav.maps.saved_map import GRAPH
 from zenav.render.map_picture import map_picture
 
 MAPS_FOLDER = Path("maps")
+YAML = "map.yaml"
 
 
 def picture_files(grid: OccupancyGrid) -> dict[str, bytes]:
@@ -27,7 +28,7 @@ def picture_files(grid: OccupancyGrid) -> dict[str, bytes]:
 def write_map(grid: OccupancyGrid, folder: Path) -> Path:
     """Writes a map without a pose graph; returns the YAML's path. Raises UserError where the folder refuses."""
     replace_together(folder, picture_files(grid))
-    return folder / "map.yaml"
+    return folder / YAML
 
 
 def grid_from_update(update: MapUpdate) -> OccupancyGrid:
@@ -39,10 +40,12 @@ def grid_from_update(update: MapUpdate) -> OccupancyGrid:
 
 def find_map(place: str) -> Path:
     """The YAML of a map given as a name below maps/, a folder, or a path. Raises UserError."""
-    for path in (Path(place), Path(place) / "map.yaml", MAPS_FOLDER / place / "map.yaml"):
+    for path in (Path(place), Path(place) / YAML, MAPS_FOLDER / place / YAML):
+        if path.name == YAML:
+            settle(path.parent)
         if path.is_file():
             return path
-    saved = tuple(sorted(p.parent.name for p in MAPS_FOLDER.glob("*/map.yaml")))
+    saved = tuple(sorted(p.parent.name for p in MAPS_FOLDER.glob(f"*/{YAML}")))
     raise UserError(
         f"{NO_SUCH_MAP.text}: {place}", nearest(place, saved) if saved else "save one: zenav map save office"
     )

@@ -15,6 +15,7 @@ from zenav.console.json_report import write_report as save
 from zenav.console.run_folder import new_run_folder
 from zenav.console.shutdown import StopFlag, stop_on_signal
 from zenav.maps.map_files import write_map
+from zenav.recording.selection import check_not_written
 from zenav.render.floor_plan import floor_plan
 from zenav.scenario import lockstep_run
 from zenav.scenario.live_table import LineView, TableView
@@ -49,6 +50,8 @@ def demo(
         chosen = replace(chosen, names=with_page(chosen.names, page))
     if record is not None and record.suffix != ".mcap":  # what stands there is written over
         raise UserError(f"{record} is no name for a recording", f"end it in .mcap: --record {record}.mcap")
+    if record is not None:
+        check_not_written(record)
     check_writable(out)
     folder = new_run_folder("demo")
     record = record or folder / "run.mcap"

@@ -16,6 +16,7 @@ from shared.types import Float64s
 
 CELL = 0.05  # m
 GOAL_TOLERANCE = 0.3  # m that a way may end from its goal
+MAX_DRAWS = 10_000  # cells that are drawn for one pose
 PERSON = 0.25  # m, a person's radius
 
 
@@ -59,12 +60,13 @@ class PathFinder:
         return terrain
 
     def random_pose(self, rng: np.random.Generator) -> Pose2:
-        """A pose at which the robot can turn and from which it can drive."""
-        while True:
+        """A pose at which the robot can turn and from which it can drive. Raises UserError where none is found."""
+        for _ in range(MAX_DRAWS):
             row, column = self._cells[int(rng.integers(len(self._cells)))].tolist()
             x, y = self.terrain.centre(row, column)
             if self.clear_at(x, y) > 0.1:
                 return Pose2(x, y, float(rng.uniform(-np.pi, np.pi)))
+        raise UserError("this world has no place at which the robot can turn", "take a wider one: --world office")
 
     def clear_at(self, x: float, y: float) -> float:
         """m between the robot's outline and what stands still."""

@@ -3,7 +3,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from math import hypot
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Protocol
@@ -25,6 +24,7 @@ LOOK_S = 0.2  # s between two looks at the robots
 SETTLES_S = 1.0  # s until a mapper has its map
 HEARD_S = 2.5  # s until the robots hear each other on one map
 MIN_WAY_M = 3.0  # m to a new goal
+MAX_DRAWS = 1000  # poses that are drawn for one goal; of a world that is too small the farthest one is taken
 MOVES_MPS, MOVES_RPS = 0.02, 0.05
 
 
@@ -107,8 +107,10 @@ class RandomGoals:
 
     def _send(self, here: Pose2) -> None:
         goal = here
-        while hypot(goal.x - here.x, goal.y - here.y) < MIN_WAY_M:
-            goal = self._paths.random_pose(self._rng)
+        for _ in range(MAX_DRAWS):
+            goal = max(goal, self._paths.random_pose(self._rng), key=here.distance)
+            if here.distance(goal) >= MIN_WAY_M:
+                break
         reply = self.robot.ask(requests.NAVIGATE, Navigate(self.robot.now(), (goal,), 0.0, 1, True))
         if reply.accepted:
             self._task_id, self._standstill = reply.task_id, 0.0

@@ -45,10 +45,11 @@ def saved_map_from_tiles(tiles: MapUpdate, resolution: float) -> SavedMap:
     Larger cells are divided. Of several smaller cells the occupied one counts, then the free one. Every node of the
     graph is fixed. Raises UserError if the tiles hold no occupied or no free cell, or span more than MAX_TILES.
     """
-    if len(tiles.rows) and (int(np.ptp(tiles.rows)) + 1) * (int(np.ptp(tiles.columns)) + 1) > MAX_TILES:
+    growth = max(tiles.resolution / resolution, 1.0) ** 2  # of the number of tiles, where larger cells are divided
+    if len(tiles.rows) and (int(np.ptp(tiles.rows)) + 1) * (int(np.ptp(tiles.columns)) + 1) * growth > MAX_TILES:
         raise UserError(
             "the map's tiles lie too far apart to be one building",
-            "are there stray cells far away? cut the picture in a drawing program",
+            "is `resolution` right? are there stray cells far away? cut the picture in a drawing program",
         )
     source = OccupancyGrid(tiles.resolution, tiles.map_id)
     source.apply(tiles)

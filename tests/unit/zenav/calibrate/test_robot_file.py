@@ -67,11 +67,12 @@ def test_a_section_that_is_missing_is_made(tmp_path):
     assert load_robot(str(path)).robot.laser.mount.x == 0.2
 
 
-def test_a_value_out_of_bounds_is_refused_and_the_file_stays(tmp_path):
+@pytest.mark.parametrize("key", ["robot.drive.wheel_radius_ratio", "odometry.base_turn_scale"])
+def test_a_value_out_of_bounds_is_refused_and_the_file_stays(tmp_path, key):
     path = copied(tmp_path, "x80sv")
     before = path.read_bytes()
-    with pytest.raises(UserError, match="wheel_radius_ratio"):
-        write(str(path), {"robot.drive.wheel_radius_ratio": 3.0})
+    with pytest.raises(UserError, match=key):
+        write(str(path), {key: 3.0})
     assert path.read_bytes() == before
 
 

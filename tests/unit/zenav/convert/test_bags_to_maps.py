@@ -58,6 +58,7 @@ def bag_of_a_drive(kind, roll, yaw, odometry="topic"):
         ("mcap", pi, 0.0, "topic"),
         ("sqlite", pi, 2.5, "tf"),
         ("mcap-zstd", 0.0, -1.0, "none"),
+        ("ros1", 0.0, pi, "topic"),
     ],
 )
 def test_the_way_comes_out_however_the_laser_is_mounted_and_the_odometry_told(

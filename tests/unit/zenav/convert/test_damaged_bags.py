@@ -124,6 +124,19 @@ def test_bytes_lost_in_the_middle_of_a_ros1_bag_cost_the_messages_around_them(tm
     assert any("bytes in" in note for note in told)
 
 
+@pytest.mark.parametrize("kind", ["ros1-lz4", "ros1-bz2"])
+def test_a_damaged_first_chunk_costs_itself(kind, tmp_path):
+    """It alone has the topics; the index at the file's end has them again."""
+    path = small(kind, n=1500).write(tmp_path / "bag")
+    content = bytearray(path.read_bytes())
+    first = content.index(b"compression=") + 100
+    content[first : first + 100] = bytes(100)
+    path.write_bytes(content)
+    scans, told = scans_of(path)
+    assert 300 < len(scans) < 1500
+    assert any("1 chunks do not unpack" in note for note in told)
+
+
 def test_a_chunk_with_an_unknown_compression_is_told(tmp_path):
     path = small("ros1-lz4").write(tmp_path / "bag")
     path.write_bytes(path.read_bytes().replace(b"compression=lz4", b"compression=xyz"))
@@ -156,6 +169,19 @@ def test_an_mcap_chunk_that_is_damaged_costs_itself(tmp_path):
     scans, told = scans_of(path)
     assert 60 < len(scans) < 100
     assert any("chunk" in note for note in told)
+
+
+@pytest.mark.parametrize("part", ["the folder", "its file"])
+def test_a_compressed_bag_that_finds_no_room_is_refused_in_a_line(part, tmp_path, monkeypatch):
+    bag = small("mcap-file").write(tmp_path / "bag")
+
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("tempfile.mkdtemp", full)
+    with pytest.raises(UserError, match="No space left") as error:
+        read_log(bag if part == "the folder" else file_of(bag), Choice())
+    assert "TMPDIR" in error.value.hint
 
 
 def test_an_mcap_file_of_something_else_says_of_what(tmp_path):

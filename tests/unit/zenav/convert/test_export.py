@@ -22,7 +22,7 @@ from shared.messages import LaserScan, Localization, MapUpdate, Odometry, PoseEs
 from shared.recording import Recording
 from shared.ros_map import read_ros_map
 from shared.types import NS_PER_S
-from tests.unit.zenav.convert.bags import small
+from tests.unit.zenav.convert.bags import file_of, small
 from zenav.__main__ import _status
 from zenav.convert.content import Choice, Content
 from zenav.convert.conversion import Conversion
@@ -65,7 +65,17 @@ def far_out():
     stamp = 1_700_000_000 * NS_PER_S
     odometry = Odometry(stamp, Pose2(0.0, 150.0, 2.0), 0.0, 0.0, np.arange(9.0))
     scan = LaserScan(stamp, -1.5, -0.1, 0.0, 0.0625, 30.0, np.ones(2, np.float32))
-    return Content([("odom", odometry), ("scan", scan)], Mount(x=0.0, y=2.0, yaw=0.0))
+    return Content([("odom", odometry), ("scan", scan)], Mount(x=0.0, y=5.0, yaw=0.0))
+
+
+def looking_back():
+    """A laser that looks back, on a base that turns: its heading is pi or -pi, as the last bit falls."""
+    messages = []
+    for k in range(8):
+        stamp = (1_700_000_000 + k) * NS_PER_S
+        messages.append(("odom", Odometry(stamp, Pose2(0.1 * k, 0.0, 0.7 * k % 3), 0.0, 0.0, np.arange(9.0))))
+        messages.append(("scan", LaserScan(stamp, -1.5, 0.1, 0.0, 0.0625, 30.0, np.ones(2, np.float32))))
+    return Content(messages, Mount(x=-0.2, y=0.0, yaw=np.pi))
 
 
 def written(content, to, folder):
@@ -82,6 +92,7 @@ def near(a, b, tolerance=1e-6):
 @settings(max_examples=12, deadline=None)
 @given(content=contents())
 @example(content=far_out())
+@example(content=looking_back())
 def test_what_is_written_reads_back(to, content, tmp_path_factory):
     """Ranges to float32, poses to 1e-6, stamps to the nanosecond (in CARMEN logs, to the microsecond)."""
     back = read_content(written(content, to, tmp_path_factory.mktemp("out")), Choice())
@@ -233,6 +244,14 @@ def test_a_map_that_is_written_over_leaves_the_other_files_of_its_folder(tmp_pat
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before | dict.fromkeys(
         ("places.yaml", "zones.yaml", "notes.txt"), b"kept"
     )
+
+
+def test_a_bag_is_not_written_over_by_what_is_read_from_it(tmp_path):
+    bag = small().write(tmp_path / "bag")
+    before = {path.name: path.read_bytes() for path in bag.iterdir()}
+    with pytest.raises(UserError, match="the folder of what is to be read"):
+        convert(file_of(bag), bag, "ros2", Choice(), "", True)
+    assert {path.name: path.read_bytes() for path in bag.iterdir()} == before
 
 
 # --- trajectories ---------------------------------------------------------------------------------------------------

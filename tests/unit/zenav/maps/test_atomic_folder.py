@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import threading
 
 import pytest
 
@@ -85,6 +86,39 @@ def test_what_the_new_ones_do_not_name_stays(tmp_path):
     (tmp_path / "mine").write_bytes(b"notes")
     replace_together(tmp_path, NEW)
     assert contents(tmp_path) == {"a": NEW["a"], "c": b"old c", "d": b"new d", "mine": b"notes"}
+
+
+class PausedContents(dict):
+    """Contents, of which the second file is only there when `begun` was called."""
+
+    def __init__(self, contents, begun):
+        super().__init__(contents)
+        self._begun = begun
+
+    def items(self):
+        first, *others = super().items()
+        yield first
+        self._begun()
+        yield from others
+
+
+def test_two_processes_that_replace_at_once_leave_the_files_of_one(tmp_path):
+    replace_together(tmp_path, OLD)
+    one, other = ({name: name.encode() + writer for name in "abc"} for writer in (b" one", b" other"))
+    written = threading.Event()
+
+    def second():
+        replace_together(tmp_path, PausedContents(other, written.set))
+
+    thread = threading.Thread(target=second)
+
+    def begin_second():
+        thread.start()
+        written.wait(0.5)  # it has written its first file, or waits for this one
+
+    replace_together(tmp_path, PausedContents(one, begin_second))
+    thread.join()
+    assert contents(tmp_path) == other
 
 
 @pytest.mark.parametrize("call", ["fsync", "rename"])

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What lies in a folder is a map to go on with: the stack's own, or one of ROS map_server in any of its modes."""
 
+import itertools
 import json
+import os
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -13,8 +16,10 @@ from shared.ros_map import ros_map_files, write_ros_map
 from tests.unit.zenav.logs import room_log
 from zenav.__main__ import _status
 from zenav.client.map_modes import OnMap
+from zenav.maps import atomic_folder
+from zenav.maps.conversion import write
 from zenav.maps.foreign_map import read_map
-from zenav.maps.map_files import grid_of
+from zenav.maps.map_files import find_map, grid_of, update_of
 from zenav.maps.saved_map import read_saved_map
 
 
@@ -41,6 +46,26 @@ def test_a_folder_with_a_graph_is_that_map_and_a_yaml_is_its_cells(mapped):
     cells = read_map(mapped / "room" / "map.yaml", 0.05)
     assert cells.graph.fixed.all()
     np.testing.assert_array_equal(cells.tiles.cells >= 65, own.tiles.cells >= 65)
+
+
+@pytest.mark.parametrize("n_moved", range(4))
+@pytest.mark.parametrize("read", [lambda f: read_map(f, 0.05).tiles, lambda f: update_of(find_map(str(f)))])
+def test_a_map_whose_files_were_moved_in_part_is_the_new_one(picture, monkeypatch, read, n_moved):
+    """The picture of one map with the origin of another one would put every wall in a wrong place."""
+    grid = grid_of(picture / "map.yaml")
+    write(picture, grid.cells, grid.resolution, grid.x0, grid.y0)
+    moves = itertools.count()
+
+    def crashes(source, target, replace=os.replace):
+        if next(moves) == n_moved:
+            raise KeyboardInterrupt
+        replace(source, target)
+
+    with monkeypatch.context() as patched, suppress(KeyboardInterrupt):
+        patched.setattr(atomic_folder.os, "replace", crashes)
+        write(picture, np.ascontiguousarray(grid.cells[:, ::-1]), grid.resolution, -32.0, -64.0)
+    update = read(picture)
+    assert (update.columns.min(), update.rows.min()) == (-10, -20)
 
 
 @pytest.mark.parametrize("negate", [False, True])

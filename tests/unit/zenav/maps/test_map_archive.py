@@ -64,6 +64,20 @@ def folder(tmp_path, monkeypatch) -> Path:
     return tmp_path / "inner"
 
 
+@pytest.mark.parametrize("method", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_an_archive_with_a_damaged_picture_is_refused_in_a_line(folder, method):
+    content = io.BytesIO()
+    noise = np.random.default_rng(0).integers(0, 255, 5000, dtype=np.uint8).tobytes()
+    with zipfile.ZipFile(content, "w", method) as archive:
+        archive.writestr("map.yaml", YAML)
+        archive.writestr("map.pgm", noise)
+    damaged = bytearray(content.getvalue())
+    damaged[1000:1100] = bytes(100)
+    with pytest.raises(UserError) as error:
+        unpack_map_archive(bytes(damaged), folder)
+    assert "\n" not in error.value.what
+
+
 def test_a_map_is_unpacked_also_out_of_a_folder_of_the_archive(folder):
     for where in ("", "office/", "maps/office/"):
         path = unpack_map_archive(zipped((f"{where}map.yaml", YAML), (f"{where}map.pgm", PICTURE)), folder)

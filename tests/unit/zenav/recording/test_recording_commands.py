@@ -279,7 +279,7 @@ def test_a_disk_that_refuses_leaves_the_damaged_file_as_it_is(run, tmp_path, mon
     assert [p.name for p in tmp_path.iterdir()] == ["run.mcap"]
 
 
-@pytest.mark.parametrize("command", ["repair", "repair --out", "trim", "merge", "replay"])
+@pytest.mark.parametrize("command", ["repair", "repair --out", "trim", "merge", "replay", "convert", "demo"])
 def test_a_file_that_a_recorder_still_writes_is_not_replaced(run, tmp_path, capsys, command):
     live = tmp_path / "live.mcap"
     arguments = {
@@ -288,6 +288,8 @@ def test_a_file_that_a_recorder_still_writes_is_not_replaced(run, tmp_path, caps
         "trim": ["recording", "trim", str(run), "--begin", "1", "--out", str(live)],
         "merge": ["recording", "merge", str(run), str(run), "--out", str(live)],
         "replay": ["replay", str(run), "--through", "odometry", "--robot", "x80sv", "--out", str(live)],
+        "convert": ["convert", str(run), str(live), "--to", "foxglove", "--force"],
+        "demo": ["demo", "--lockstep", "--world", "room", "--seconds", "5", "--record", str(live)],
     }[command]
     entries = list(Recording(run).entries(as_recorded=True))
     with Writer(live, exclusive=True) as writer:

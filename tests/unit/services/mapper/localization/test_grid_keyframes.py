@@ -300,6 +300,14 @@ def test_a_map_whose_tiles_lie_too_far_apart_is_refused():
         saved_map_from_tiles(replace(tiles, rows=np.linspace(-30000, 30000, len(tiles.rows)).astype(np.int32)), 0.05)
 
 
+def test_a_map_of_large_cells_is_refused_before_it_takes_gigabytes_of_the_mappers_cells():
+    cells = np.zeros((500, 500), np.int8)
+    cells[0] = 100
+    with pytest.raises(UserError, match="too far apart") as error:
+        saved_map_from_tiles(update_of_cells(cells, 1.0, 0.0, 0.0), 0.05)
+    assert "`resolution`" in error.value.hint
+
+
 @settings(deadline=None)
 @given(st.integers(1, 12), st.integers(1, 4), st.integers(0, 2**32 - 1))
 def test_the_nearest_places_are_those_of_a_sorted_list(n_places, count, seed):
