@@ -24,7 +24,7 @@ from shared.codec import Envelope, decode, encode
 from shared.config import UserError, load_robot
 from shared.messages import EmergencyStop, LogLine, MapUpdate
 from shared.reasons import DISK_FULL, NOT_RECORDED
-from shared.recording import CONFIG, Drop, Recording
+from shared.recording import CONFIG, Drop, Recording, Writer
 from shared.requests import SetSettings
 from shared.service import Log
 from shared.types import NS_PER_S
@@ -213,6 +213,29 @@ def test_what_the_system_refuses_costs_a_second_and_not_the_recording(recorder, 
     assert [payload for payload in recorded if payload in found] == found
     assert sum(drop.n for drop in drops) == 205 - len(found)
     assert service.state() == f"recording, {len(found)} messages, {205 - len(found)} not recorded"
+
+
+@pytest.mark.parametrize("n_tries", [1, 2])
+def test_messages_that_were_missed_before_a_disk_error_are_in_the_next_part(recorder, tmp_path, monkeypatch, n_tries):
+    """The disk takes the record of what is missing, and refuses the chunk after it: both are cut off."""
+
+    def refuse(writer: Writer) -> None:
+        writer._file.cut()
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    service = recorder(file=str(tmp_path / "a.mcap"))
+    take(service, 5)
+    flushed(service)
+    for i in range(n_tries):
+        take(service, 1, first=8 + i, at=START + 10 * i * NS_PER_S)  # the first one: three before it did not come
+        with monkeypatch.context() as patch:
+            patch.setattr(Writer, "flush", refuse)
+            flushed(service)
+    take(service, 1, first=8 + n_tries, at=START + 60 * NS_PER_S)
+    flushed(service)
+    drops = [drop for path in tmp_path.iterdir() for drop in Recording(path).drops]
+    assert {drop.why: drop.n for drop in drops} == {OVERLOAD: 3, DISK_FULL.code: n_tries}
+    assert service.state() == f"recording, 6 messages, {n_tries} not recorded, 3 missed"
 
 
 def shout(service: RecorderService, n: int, first: int, at: int) -> list[bytes]:
