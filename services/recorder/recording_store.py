@@ -96,6 +96,8 @@ class RecordingStore:
         self._robot = ""
         self._upload, self._pending_logs = UploadProcess(), list[Log]()
         self.n_removed_before_upload = 0
+        self.last_drops: list[Drop] = []
+        """Missing messages that `close` writes."""
         if config.upload:
             check_upload(config.upload)
         folder = config.recordings_folder
@@ -187,6 +189,7 @@ class RecordingStore:
         path = self.path
         self._upload.close()
         try:
+            self.note_drops(self.last_drops)
             self.end()
         except OSError as error:
             what = f"{path}: its end could not be written: {error.strerror}"

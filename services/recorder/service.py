@@ -120,6 +120,12 @@ class RecorderService(Service):
         yield from logs
         yield from self._store.step_upload()
 
+    def on_shutdown(self) -> Out:
+        """Leaves to the store what is missing since the last flush."""
+        if self._part_start is not None:
+            self._store.last_drops = self._losses.take_drops(self.now)
+        return ()
+
     def state(self) -> str:
         text = f"recording, {self._n_recorded} messages" if self._part_start is not None else "waiting for a message"
         if self._failure is not None:

@@ -318,6 +318,21 @@ def test_messages_that_never_came_are_counted_and_written_down(recorder, tmp_pat
     assert "7 estop" in recording.problems[0]
 
 
+@pytest.mark.parametrize("full", [False, True])
+def test_messages_that_were_missed_shortly_before_the_end_are_written_down(tmp_path, full):
+    config = RecorderConfig(file=str(tmp_path / "a.mcap"))
+    store = FullDisk(config)
+    service = RecorderService(config, ROBOT, store)
+    take(service, 3)
+    flushed(service)
+    store.full_disk = full
+    take(service, 1, first=7)
+    assert list(service.on_shutdown()) == []
+    store.close()
+    expected = [] if full else [Drop(START, OVERLOAD, "estop", "s", 3, 4)]
+    assert Recording(tmp_path / "a.mcap").drops == expected
+
+
 @given(st.lists(st.integers(0, 60), unique=True, max_size=60))
 def test_what_is_missed_is_what_lies_between_the_first_and_the_last(came):
     losses = MessageLosses()
