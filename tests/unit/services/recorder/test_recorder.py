@@ -373,6 +373,17 @@ def test_the_oldest_parts_go_first_and_marked_ones_never(recorder, tmp_path):
     assert (tmp_path / "other-20231114-221320.mcap").exists()
 
 
+def test_recordings_that_a_user_named_stay_whatever_the_budget(recorder, tmp_path):
+    named = ["x80-2.mcap", "x80-20231101-whole.mcap", "x80-20231101-101500-docking.mcap"]
+    given = ["x80-20231101-101500.mcap", "x80-20231101-101500-2.mcap", "x80-20231101-101500-2.part002.mcap"]
+    for name in (*named, *given):
+        (tmp_path / name).write_bytes(b"x" * 300_000)
+    service = recorder(folder=str(tmp_path), split_size=0.05, budget=0.3)
+    take(service, 1)
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left == {*named, "x80-20231114-221320.mcap"}
+
+
 def test_a_lower_maximum_size_of_a_part_holds_for_the_open_one(recorder, tmp_path):
     service = recorder(folder=str(tmp_path))
     shout(service, 60, 0, START)
