@@ -225,12 +225,13 @@ class RecordingStore:
     def _remove_old_recordings(self) -> None:
         """Removes the oldest recordings over the budget; ignores disk errors."""
         own = rf"{re.escape(self._stem)}\.part\d+" if self.config.file else f"{self._robot}{START_NAME}"
-        recordings = []
+        names, recordings = set[str](), []
         with suppress(OSError):
-            names = set(os.listdir(self._folder))
-            for name in names:
-                path = self._folder / name
-                if path != self.path and re.fullmatch(rf"{own}\.mcap", name):
+            names.update(os.listdir(self._folder))
+        for name in names:
+            path = self._folder / name
+            if path != self.path and re.fullmatch(rf"{own}\.mcap", name):
+                with suppress(OSError):  # removed meanwhile, or a link that leads nowhere: the others count
                     recordings.append(_stored_recording(path, names))
         reserved = min(self.config.split_size, self.config.budget) * MB  # maximum size of the open part
         uploaded = {recording.path for recording in recordings if recording.uploaded}

@@ -384,6 +384,14 @@ def test_recordings_that_a_user_named_stay_whatever_the_budget(recorder, tmp_pat
     assert left == {*named, "x80-20231114-221320.mcap"}
 
 
+def test_links_that_lead_nowhere_do_not_keep_the_others_from_being_removed(recorder, tmp_path):
+    for minute in range(20):
+        (tmp_path / f"x80-20231101-10{minute:02}00.mcap").write_bytes(b"x" * 100_000)
+        (tmp_path / f"x80-20231102-10{minute:02}00.mcap").symlink_to(tmp_path / "nowhere")
+    take(recorder(folder=str(tmp_path), split_size=0.05, budget=0.3), 1)
+    assert sum(path.stat().st_size for path in tmp_path.iterdir() if path.exists()) <= 0.3e6
+
+
 def test_a_lower_maximum_size_of_a_part_holds_for_the_open_one(recorder, tmp_path):
     service = recorder(folder=str(tmp_path))
     shout(service, 60, 0, START)
