@@ -54,6 +54,12 @@ class UploadStore(Protocol):
     def put(self, path: Path, content: FileState, name: str, replaces: bool, report: Report) -> None:
         """Uploads a recording. Raises FileExistsError where there is another one, unless it `replaces` that."""
 
+    def confirm(self, path: Path, content: FileState, name: str) -> None:
+        """Ends an upload that was interrupted after its last byte, when a recording is there that has this content.
+
+        Raises DamagedError where the copy was not checked yet, and has other bytes: it is removed.
+        """
+
     def abandon(self, path: Path) -> None:
         """Removes what is there of an upload whose recording is gone here."""
 
@@ -96,6 +102,9 @@ class FolderStore:
             _move_new(part, target)
         _sync_folder(self._path)
 
+    def confirm(self, path: Path, content: FileState, name: str) -> None:
+        """There is nothing to do: a copy is read back before it has its name."""
+
     def abandon(self, path: Path) -> None:
         """There is no file that says so: what is left is named by its content."""
 
@@ -124,6 +133,9 @@ class ObjectStore:
                 self.folder.system.rm_file(there)
             raise DamagedError(f"{there} had other bytes than {path}; it is written again")
         report(content.size)
+
+    def confirm(self, path: Path, content: FileState, name: str) -> None:
+        """There is nothing to do: `sha256_of` reads the object."""
 
     def abandon(self, path: Path) -> None:
         """There is nothing: an object is written whole."""

@@ -165,6 +165,30 @@ def test_parts_that_are_there_are_not_sent_again(place, tmp_path, monkeypatch):
     assert sent == [1, 2, 3, 3, 4]
 
 
+def test_a_copy_that_was_not_checked_before_a_crash_is_checked_after_it(place, tmp_path, monkeypatch):
+    """Of a store that gives no checksum: what it was sent is in the metadata, damaged or not."""
+    url, here = place("s3"), recordings(tmp_path / "here", "x80-20260101-000000.mcap")
+    call, called = s3_store.S3Store._call, []
+
+    def flipped_once(self, method, **arguments):
+        if method == "head_object" and called[-1:] == ["complete_multipart_upload"]:
+            called.append("killed")
+            raise KilledError
+        called.append(method)
+        if called.count("upload_part") == 1 and method == "upload_part":
+            arguments["Body"] = arguments["Body"][:-1] + bytes((arguments["Body"][-1] ^ 1,))
+        reply = call(self, method, **arguments)
+        return {"ETag": reply["ETag"], "ServerSideEncryption": "aws:kms"} if method == "upload_part" else reply
+
+    monkeypatch.setattr(s3_store.S3Store, "_call", flipped_once)
+    with pytest.raises(KilledError):
+        run(here, url)
+    monkeypatch.setattr(s3_store.S3Store, "_call", call)
+    run(here, url)
+    assert there(url) == {"x80-20260101-000000.mcap": path_of("driving").read_bytes()}
+    assert not list(here.glob("*.uploading"))
+
+
 @pytest.mark.parametrize("says", ["md5", "nothing"])
 def test_bytes_that_arrive_damaged_are_sent_again_and_never_stay(says, place, tmp_path, monkeypatch):
     url, here = place("s3"), recordings(tmp_path / "here", "x80-20260101-000000.mcap")
