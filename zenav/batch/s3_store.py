@@ -16,7 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from zenav.batch.storage import Folder
+from zenav.batch.storage import Folder, errors_of
 from zenav.batch.upload_files import FileState, UploadProgress
 from zenav.batch.upload_stores import CHUNK, DamagedError, Pace, Report
 
@@ -143,8 +143,9 @@ class S3Store:
             raise DamagedError(f"{progress.url} had other bytes than were sent; it is uploaded again")
 
     def _sha256_of_content(self, name: str) -> str:
-        with self.folder.system.open(f"{self.folder.path}/{name}", "rb", block_size=CHUNK, cache_type="none") as file:
-            digest = hashlib.sha256()
+        place, digest = f"{self.folder.path}/{name}", hashlib.sha256()
+        options = {"block_size": CHUNK, "cache_type": "none"}
+        with errors_of(f"{self.folder.url}/{name}"), self.folder.system.open(place, "rb", **options) as file:
             while data := file.read(CHUNK):
                 digest.update(data)
         return digest.hexdigest()

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import fsspec
 import pytest
+from botocore.exceptions import EndpointConnectionError
 
 from shared.recording import Recording, Writer
 from tests.replay.record import path_of
@@ -273,6 +274,41 @@ def test_without_network_it_waits_longer_each_time_and_goes_on_by_itself(place, 
     assert any("Could not connect; tried again in" in state for state in states)
     assert sum(level == "WARNING" for level, _ in events) == 2, "once for each recording"
     assert len(there(url)) == 2
+
+
+@pytest.mark.parametrize("call", ["exists", "put_file", "open"])
+def test_an_error_of_a_library_of_a_store_is_tried_again(call, place, tmp_path, monkeypatch):
+    """As of gcsfs: it is no OSError, and the network comes back."""
+    url, here, states = place("memory"), recordings(tmp_path / "here", "x80-20260101-000000.mcap"), []
+    system, failed = type(Folder(url).system), []
+    real = getattr(system, call)
+
+    def offline(self, *args, **options):
+        if len(failed) < 2:
+            failed.append(call)
+            raise EndpointConnectionError(endpoint_url="https://store")
+        return real(self, *args, **options)
+
+    monkeypatch.setattr(system, call, offline)
+    assert run(here, url, states=states) == 1
+    assert sum("Could not connect" in state and "tried again in" in state for state in states) == 2
+
+
+def test_an_error_while_a_copy_is_read_back_is_tried_again(place, tmp_path, monkeypatch):
+    url, here, states = place("s3"), recordings(tmp_path / "here", "x80-20260101-000000.mcap"), []
+    system = Folder(url).system
+    system.pipe_file(f"{url}/x80-20260101-000000.mcap", path_of("driving").read_bytes())  # by another program
+    real, failed = type(system).open, []
+
+    def offline(self, *args, **options):
+        if not failed:
+            failed.append(args)
+            raise EndpointConnectionError(endpoint_url="https://store")
+        return real(self, *args, **options)
+
+    monkeypatch.setattr(type(system), "open", offline)
+    assert run(here, url, states=states) == 1
+    assert sum("Could not connect" in state and "tried again in" in state for state in states) == 1
 
 
 def test_a_part_that_was_removed_meanwhile_leaves_nothing(place, tmp_path, monkeypatch):
