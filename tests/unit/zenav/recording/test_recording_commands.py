@@ -17,7 +17,7 @@ from services.recorder.service import RecorderService
 from shared import topics
 from shared.codec import Envelope, decode, encode
 from shared.config import UserError
-from shared.messages import LogLine, MapMode, Odometry, Velocity
+from shared.messages import EmergencyStop, LogLine, MapMode, Odometry, Velocity
 from shared.recording import CONFIG, Channel, Drop, Entry, Recording, Writer, sink
 from shared.recordings.reader import LATCHED
 from shared.runners.replay import replay
@@ -396,6 +396,19 @@ def test_merged_parts_are_what_was_published_and_replay_to_the_byte(tmp_path, ca
     replayed = replay(recording, CHAIN, build)
     assert replayed.gaps == []
     assert compare_replayed(replayed).equal
+
+
+def test_trim_keeps_a_latched_message_that_no_other_of_its_topics_follows(tmp_path):
+    path, out = tmp_path / "a.mcap", tmp_path / "b.mcap"
+    payload = encode(EmergencyStop(0, True, "x"), Envelope("operator", "s", 0, 0))
+    with Writer(path) as writer:
+        writer.write("estop", EmergencyStop, payload, 0, 0, 0)
+        for second in range(60):
+            writer.write("log/mapper", LogLine, b"x", second * NS_PER_S, 0, second)
+    assert trim(path, out, 30.0, None, ["estop"]) == 0
+    assert [(e.key, e.log_time, e.latched, e.payload) for e in Recording(out).entries()] == [
+        ("estop", 30 * NS_PER_S, True, payload)
+    ]
 
 
 def test_what_was_latched_while_the_disk_was_full_is_in_the_merged_recording(tmp_path):
