@@ -5,6 +5,7 @@ import glob
 import json
 import os
 import platform
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -28,6 +29,8 @@ from shared.service import Log
 from shared.topics import KEYS
 
 MB = 1e6
+START_NAME = r"-\d{8}-\d{6}(-\d+)?(\.part\d+)?"
+"""What follows the robot in a name that the recorder gives. A recording that a user named differs, and stays."""
 
 
 class RecorderConfig(Section):
@@ -96,6 +99,8 @@ class RecordingStore:
         self._robot = ""
         self._upload, self._pending_logs = UploadProcess(), list[Log]()
         self.n_removed_before_upload = 0
+        self.last_drops: list[Drop] = []
+        """Missing messages that `close` writes."""
         if config.upload:
             check_upload(config.upload)
         folder = config.recordings_folder
@@ -187,6 +192,7 @@ class RecordingStore:
         path = self.path
         self._upload.close()
         try:
+            self.note_drops(self.last_drops)
             self.end()
         except OSError as error:
             what = f"{path}: its end could not be written: {error.strerror}"
@@ -218,13 +224,14 @@ class RecordingStore:
 
     def _remove_old_recordings(self) -> None:
         """Removes the oldest recordings over the budget; ignores disk errors."""
-        own = f"{glob.escape(self._stem)}.part[0-9]*" if self.config.file else f"{self._robot}-[0-9]*"
-        recordings = []
+        own = rf"{re.escape(self._stem)}\.part\d+" if self.config.file else f"{self._robot}{START_NAME}"
+        names, recordings = set[str](), []
         with suppress(OSError):
-            names = set(os.listdir(self._folder))
-            for name in names:
-                path = self._folder / name
-                if path != self.path and path.suffix == ".mcap" and fnmatchcase(name, own):
+            names.update(os.listdir(self._folder))
+        for name in names:
+            path = self._folder / name
+            if path != self.path and re.fullmatch(rf"{own}\.mcap", name):
+                with suppress(OSError):  # removed meanwhile, or a link that leads nowhere: the others count
                     recordings.append(_stored_recording(path, names))
         reserved = min(self.config.split_size, self.config.budget) * MB  # maximum size of the open part
         uploaded = {recording.path for recording in recordings if recording.uploaded}

@@ -11,6 +11,7 @@ from shared.codec import Envelope
 from shared.config import Robot
 from shared.messages import Message
 from shared.reasons import DISK_FULL, NO_SUCH_FILE, NOT_RECORDED, Reason
+from shared.recording import Drop
 from shared.recording_requests import MAX_RECORDING_PART, FetchRecording, ListRecordings, RecordingList, RecordingPart
 from shared.recordings.latched_state import LatchedState
 from shared.service import Answer, Log, Out, Service, answer, every
@@ -43,6 +44,7 @@ class RecorderService(Service):
         self._failure: Reason | None = None
         self._retry_at, self._retry_wait = 0, NS_PER_S  # ns: time of the next try, wait after the next disk error
         self._unflushed: list[tuple[MessageSource, int]] = []
+        self._unflushed_drops: list[Drop] = []
         self._pending_logs: list[Log] = []
         self._n_recorded = self._n_unknown = 0
 
@@ -106,6 +108,7 @@ class RecorderService(Service):
                 self._write_losses(self.now)
                 self._store.flush()
                 self._unflushed.clear()
+                self._unflushed_drops.clear()
                 if self.now - self._part_start >= MIN_STABLE_NS:
                     self._retry_wait = NS_PER_S
                 if self._store.is_full(self.now):
@@ -116,6 +119,12 @@ class RecorderService(Service):
         logs, self._pending_logs = self._pending_logs, []
         yield from logs
         yield from self._store.step_upload()
+
+    def on_shutdown(self) -> Out:
+        """Leaves to the store what is missing since the last flush."""
+        if self._part_start is not None:
+            self._store.last_drops = self._losses.take_drops(self.now)
+        return ()
 
     def state(self) -> str:
         text = f"recording, {self._n_recorded} messages" if self._part_start is not None else "waiting for a message"
@@ -161,15 +170,16 @@ class RecorderService(Service):
         self._pending_logs.append(Log("INFO", f"recording to {self._store.path}"))
 
     def _write_losses(self, now: int) -> None:
+        """Writes what is missing. Raises OSError."""
         drops = self._losses.take_drops(now)
-        try:
-            self._store.note_drops(drops)
-        except OSError:
-            self._losses.restore_drops(drops)
-            raise
+        self._unflushed_drops += drops
+        self._store.note_drops(drops)
 
     def _on_disk_error(self, error: OSError, now: int) -> str:
-        """Counts the unflushed messages as unwritten and schedules the next try. Returns the reason's code."""
+        """Counts the unflushed messages as unwritten and schedules the next try. Returns the reason's code.
+
+        Drops that were not flushed go into the next part.
+        """
         full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
         reason = DISK_FULL if full else NOT_RECORDED
         if self._failure is None:
@@ -180,5 +190,7 @@ class RecorderService(Service):
             self._losses.record_unwritten(reason.code, source, sequence)
         self._n_recorded -= len(self._unflushed)
         self._unflushed.clear()
+        self._losses.restore_drops(self._unflushed_drops)
+        self._unflushed_drops.clear()
         self._retry_at, self._retry_wait = now + self._retry_wait, min(2 * self._retry_wait, MAX_RETRY_WAIT_NS)
         return reason.code

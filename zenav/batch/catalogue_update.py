@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 def update(place: str, jobs: int) -> "Table":
     """The catalogue of a place, brought up to date: new and changed recordings are read, rows of removed ones dropped.
 
+    A recording whose reading failed is read again: a network or a full memory may have been the reason.
     A damaged file of the catalogue is dropped, and its recordings are read again.
     Raises UserError where the place has no recording, or its store refuses.
     """
@@ -26,8 +27,10 @@ def update(place: str, jobs: int) -> "Table":
     catalogue = Catalogue(Folder(place))
     damaged: list[str] = []
     before, files = catalogue.read(damaged)
-    columns = [] if before is None else [before[name].to_pylist() for name in ("recording", TAG, REVISION)]
-    revisions = {url: (tag, revision) for url, tag, revision in zip(*columns, strict=True)}
+    columns = [] if before is None else [before[name].to_pylist() for name in ("recording", TAG, REVISION, "state")]
+    revisions = {
+        url: ("" if state == "failed" else tag, revision) for url, tag, revision, state in zip(*columns, strict=True)
+    }
     found = {source.url: source for source in sources([place]) if source.url.endswith(".mcap")}
     new = [found[url] for url in sorted(found) if revisions.get(url, ("", 0))[0] != content_version(found[url])]
     if before is not None and not damaged and not new and len(found) == len(revisions):

@@ -16,7 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from zenav.batch.storage import Folder
+from zenav.batch.storage import Folder, errors_of
 from zenav.batch.upload_files import FileState, UploadProgress
 from zenav.batch.upload_stores import CHUNK, DamagedError, Pace, Report
 
@@ -57,8 +57,15 @@ class S3Store:
             if is_useless or (error.errno == errno.EREMOTEIO and not self._knows(progress)):
                 self._drop(path, progress)  # the store has lost it, or does not want it
             raise
+        self._check(path, content, name, progress)
         UploadProgress.remove(path)
-        self._check(name, content, progress)
+
+    def confirm(self, path: Path, content: FileState, name: str) -> None:
+        """The metadata says what was sent, not what is there."""
+        bucket, key = self._address(name)
+        if (progress := UploadProgress.of(path, content, f"s3://{bucket}/{key}")) is not None:
+            self._check(path, content, name, progress)
+        self.abandon(path)
 
     def abandon(self, path: Path) -> None:
         if (progress := UploadProgress.left(path)) is not None:
@@ -125,17 +132,20 @@ class S3Store:
             **({} if replaces else {"IfNoneMatch": "*"}),
         )
 
-    def _check(self, name: str, content: FileState, progress: UploadProgress) -> None:
+    def _check(self, path: Path, content: FileState, name: str, progress: UploadProgress) -> None:
+        """Raises DamagedError where the finished object has other bytes; it is removed then."""
         bucket, key = self._address(name)
         size = self._call("head_object", Bucket=bucket, Key=key)["ContentLength"]
         is_same = size == content.size and (progress.is_verified or self._sha256_of_content(name) == content.sha256)
         if not is_same:
             self._call("delete_object", Bucket=bucket, Key=key)
+            UploadProgress.remove(path)
             raise DamagedError(f"{progress.url} had other bytes than were sent; it is uploaded again")
 
     def _sha256_of_content(self, name: str) -> str:
-        with self.folder.system.open(f"{self.folder.path}/{name}", "rb", block_size=CHUNK, cache_type="none") as file:
-            digest = hashlib.sha256()
+        place, digest = f"{self.folder.path}/{name}", hashlib.sha256()
+        options = {"block_size": CHUNK, "cache_type": "none"}
+        with errors_of(f"{self.folder.url}/{name}"), self.folder.system.open(place, "rb", **options) as file:
             while data := file.read(CHUNK):
                 digest.update(data)
         return digest.hexdigest()

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import IO, Any, Protocol
 
 from shared.config import UserError
-from zenav.batch.storage import Folder
+from zenav.batch.storage import Folder, errors_of
 from zenav.batch.upload_files import FileState
 
 CHUNK = 8 << 20  # bytes that are written at a time
@@ -44,7 +44,7 @@ class Pace:
 
 
 class UploadStore(Protocol):
-    """Raises OSError where the store cannot be reached or refuses."""
+    """Raises OSError or UserError where the store cannot be reached or refuses."""
 
     folder: Folder
 
@@ -53,6 +53,12 @@ class UploadStore(Protocol):
 
     def put(self, path: Path, content: FileState, name: str, replaces: bool, report: Report) -> None:
         """Uploads a recording. Raises FileExistsError where there is another one, unless it `replaces` that."""
+
+    def confirm(self, path: Path, content: FileState, name: str) -> None:
+        """Ends an upload that was interrupted after its last byte, when a recording is there that has this content.
+
+        Raises DamagedError where the copy was not checked yet, and has other bytes: it is removed.
+        """
 
     def abandon(self, path: Path) -> None:
         """Removes what is there of an upload whose recording is gone here."""
@@ -96,6 +102,9 @@ class FolderStore:
             _move_new(part, target)
         _sync_folder(self._path)
 
+    def confirm(self, path: Path, content: FileState, name: str) -> None:
+        """There is nothing to do: a copy is read back before it has its name."""
+
     def abandon(self, path: Path) -> None:
         """There is no file that says so: what is left is named by its content."""
 
@@ -107,23 +116,29 @@ class ObjectStore:
         self.folder, self._pace = folder, pace
 
     def sha256_of(self, name: str) -> str:
-        try:
-            with self.folder.system.open(f"{self.folder.path}/{name}", "rb") as file:
-                return _sha256(file)
-        except FileNotFoundError:
-            return ""
+        with errors_of(f"{self.folder.url}/{name}"):
+            try:
+                with self.folder.system.open(f"{self.folder.path}/{name}", "rb") as file:
+                    return _sha256(file)
+            except FileNotFoundError:
+                return ""
 
     def put(self, path: Path, content: FileState, name: str, replaces: bool, report: Report) -> None:
-        there = f"{self.folder.path}/{name}"
-        if not replaces and self.folder.system.exists(there):
+        there, url = f"{self.folder.path}/{name}", f"{self.folder.url}/{name}"
+        with errors_of(url):
+            is_taken = not replaces and self.folder.system.exists(there)
+        if is_taken:
             raise FileExistsError(there)
-        self.folder.system.put_file(str(path), there)
+        with errors_of(url):
+            self.folder.system.put_file(str(path), there)
         self._pace.sent(content.size)
         if self.sha256_of(name) != content.sha256:
-            with suppress(FileNotFoundError):
-                self.folder.system.rm_file(there)
+            self.folder.remove([name])
             raise DamagedError(f"{there} had other bytes than {path}; it is written again")
         report(content.size)
+
+    def confirm(self, path: Path, content: FileState, name: str) -> None:
+        """There is nothing to do: `sha256_of` reads the object."""
 
     def abandon(self, path: Path) -> None:
         """There is nothing: an object is written whole."""

@@ -124,7 +124,7 @@ class FolderUpload:
         content, before = content_of(path), Uploaded.of(path)
         name, is_there, replaces = self._name_for(path.name, content, before)
         if is_there:
-            self._store.abandon(path)  # what a crash left after the last byte
+            self._store.confirm(path, content, name)
         else:
             self._store.put(path, content, name, replaces, report)
         source = self._store.folder.source(name)

@@ -56,7 +56,7 @@ def merge(paths: list[Path], out: Path) -> int:
 def _in_order(recordings: list[Recording]) -> Iterator[tuple[Entry, int]]:
     """The messages of all recordings, each with its recording's index.
 
-    A later part repeats latched messages. They are left out where the part before it is there.
+    A later part repeats latched messages. They are left out where the part before it is there, and has all of them.
     """
     streams: list[Iterable[tuple[Entry, int]]] = []
     ends, alone = [end_of(recording) for recording in recordings], True
@@ -85,7 +85,13 @@ def _with_repeats(entries: Iterable[tuple[Entry, int]]) -> Iterator[tuple[Entry,
 
 
 def _new(recording: Recording, follows: bool) -> Iterator[Entry]:
-    return (entry for entry in recording.entries(as_recorded=True) if not (follows and entry.latched))
+    begin = begin_of(recording)
+    missed = {drop.key for drop in recording.drops if drop.at <= begin}  # between the part before it and this one
+    return (
+        entry
+        for entry in recording.entries(as_recorded=True)
+        if not (follows and entry.latched and entry.key not in missed)
+    )
 
 
 def _follows(before: Recording, after: Recording) -> bool:

@@ -31,11 +31,11 @@ def trim(path: Path, out: Path, begin: float | None, end: float | None, patterns
         writer.note_drops(drop for drop in recording.drops if first <= drop.at and (until is None or drop.at < until))
         begun = since is None
         for entry in recording.entries(as_recorded=True):
-            if keys is not None and entry.key not in keys and not entry.key.startswith("journal/"):
-                continue
             if not begun and entry.log_time >= first:
                 begun = True
                 n += _begin(writer, held, first, recording)
+            if keys is not None and entry.key not in keys and not entry.key.startswith("journal/"):
+                continue
             if not begun:
                 held.take(entry.key, entry.payload)
             elif until is None or entry.log_time < until:

@@ -24,7 +24,7 @@ from shared.codec import Envelope, decode, encode
 from shared.config import UserError, load_robot
 from shared.messages import EmergencyStop, LogLine, MapUpdate
 from shared.reasons import DISK_FULL, NOT_RECORDED
-from shared.recording import CONFIG, Drop, Recording
+from shared.recording import CONFIG, Drop, Recording, Writer
 from shared.requests import SetSettings
 from shared.service import Log
 from shared.types import NS_PER_S
@@ -215,6 +215,29 @@ def test_what_the_system_refuses_costs_a_second_and_not_the_recording(recorder, 
     assert service.state() == f"recording, {len(found)} messages, {205 - len(found)} not recorded"
 
 
+@pytest.mark.parametrize("n_tries", [1, 2])
+def test_messages_that_were_missed_before_a_disk_error_are_in_the_next_part(recorder, tmp_path, monkeypatch, n_tries):
+    """The disk takes the record of what is missing, and refuses the chunk after it: both are cut off."""
+
+    def refuse(writer: Writer) -> None:
+        writer._file.cut()
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    service = recorder(file=str(tmp_path / "a.mcap"))
+    take(service, 5)
+    flushed(service)
+    for i in range(n_tries):
+        take(service, 1, first=8 + i, at=START + 10 * i * NS_PER_S)  # the first one: three before it did not come
+        with monkeypatch.context() as patch:
+            patch.setattr(Writer, "flush", refuse)
+            flushed(service)
+    take(service, 1, first=8 + n_tries, at=START + 60 * NS_PER_S)
+    flushed(service)
+    drops = [drop for path in tmp_path.iterdir() for drop in Recording(path).drops]
+    assert {drop.why: drop.n for drop in drops} == {OVERLOAD: 3, DISK_FULL.code: n_tries}
+    assert service.state() == f"recording, 6 messages, {n_tries} not recorded, 3 missed"
+
+
 def shout(service: RecorderService, n: int, first: int, at: int) -> list[bytes]:
     """Log lines of some kB that do not compress well."""
     payloads = []
@@ -295,6 +318,21 @@ def test_messages_that_never_came_are_counted_and_written_down(recorder, tmp_pat
     assert "7 estop" in recording.problems[0]
 
 
+@pytest.mark.parametrize("full", [False, True])
+def test_messages_that_were_missed_shortly_before_the_end_are_written_down(tmp_path, full):
+    config = RecorderConfig(file=str(tmp_path / "a.mcap"))
+    store = FullDisk(config)
+    service = RecorderService(config, ROBOT, store)
+    take(service, 3)
+    flushed(service)
+    store.full_disk = full
+    take(service, 1, first=7)
+    assert list(service.on_shutdown()) == []
+    store.close()
+    expected = [] if full else [Drop(START, OVERLOAD, "estop", "s", 3, 4)]
+    assert Recording(tmp_path / "a.mcap").drops == expected
+
+
 @given(st.lists(st.integers(0, 60), unique=True, max_size=60))
 def test_what_is_missed_is_what_lies_between_the_first_and_the_last(came):
     losses = MessageLosses()
@@ -333,6 +371,25 @@ def test_the_oldest_parts_go_first_and_marked_ones_never(recorder, tmp_path):
     assert len(numbers) >= 3
     assert (tmp_path / "notes.txt").exists()
     assert (tmp_path / "other-20231114-221320.mcap").exists()
+
+
+def test_recordings_that_a_user_named_stay_whatever_the_budget(recorder, tmp_path):
+    named = ["x80-2.mcap", "x80-20231101-whole.mcap", "x80-20231101-101500-docking.mcap"]
+    given = ["x80-20231101-101500.mcap", "x80-20231101-101500-2.mcap", "x80-20231101-101500-2.part002.mcap"]
+    for name in (*named, *given):
+        (tmp_path / name).write_bytes(b"x" * 300_000)
+    service = recorder(folder=str(tmp_path), split_size=0.05, budget=0.3)
+    take(service, 1)
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left == {*named, "x80-20231114-221320.mcap"}
+
+
+def test_links_that_lead_nowhere_do_not_keep_the_others_from_being_removed(recorder, tmp_path):
+    for minute in range(20):
+        (tmp_path / f"x80-20231101-10{minute:02}00.mcap").write_bytes(b"x" * 100_000)
+        (tmp_path / f"x80-20231102-10{minute:02}00.mcap").symlink_to(tmp_path / "nowhere")
+    take(recorder(folder=str(tmp_path), split_size=0.05, budget=0.3), 1)
+    assert sum(path.stat().st_size for path in tmp_path.iterdir() if path.exists()) <= 0.3e6
 
 
 def test_a_lower_maximum_size_of_a_part_holds_for_the_open_one(recorder, tmp_path):

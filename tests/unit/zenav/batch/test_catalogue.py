@@ -13,8 +13,10 @@ from hypothesis import strategies as st
 from shared.config import UserError
 from tests.replay.record import path_of
 from zenav.__main__ import _status
+from zenav.batch import catalogue_update
 from zenav.batch.catalogue import COLUMNS, FOLDER, table_of
 from zenav.batch.catalogue_update import update
+from zenav.batch.child_process import Outcome
 from zenav.batch.finding import query
 from zenav.batch.query import condition
 from zenav.batch.storage import sources
@@ -133,6 +135,18 @@ def test_the_catalogue_says_what_was_recorded_and_only_what_changed_is_read_agai
     assert _status(["recording", "find", "robot=green", str(tmp_path), "--as-it-is"]) == 1
     shutil.rmtree(tmp_path / FOLDER)
     assert _status(["recording", "find", "robot=green", str(tmp_path), "--as-it-is"]) == 2
+
+
+def test_a_recording_whose_reading_failed_is_read_again(tmp_path, monkeypatch):
+    shutil.copy(path_of("driving"), tmp_path / "a.mcap")
+    with monkeypatch.context() as patch:
+        failed = [Outcome("raised", detail="Could not connect"), Outcome("died", detail="killed by SIGKILL")]
+        for outcome in failed:
+            patch.setattr(
+                catalogue_update, "results", lambda work, new, *a, of=outcome, **b: ((one, of) for one in new)
+            )
+            assert update(str(tmp_path), 1)["error"].to_pylist() == [outcome.detail]
+    assert update(str(tmp_path), 1)["state"].to_pylist() == ["done"]
 
 
 @pytest.mark.parametrize("content", [b"", b"[]", b"\xff\xfe", b"PAR1 and then noise"])

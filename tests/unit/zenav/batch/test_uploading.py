@@ -9,6 +9,7 @@ from pathlib import Path
 
 import fsspec
 import pytest
+from botocore.exceptions import EndpointConnectionError
 
 from shared.recording import Recording, Writer
 from tests.replay.record import path_of
@@ -165,6 +166,30 @@ def test_parts_that_are_there_are_not_sent_again(place, tmp_path, monkeypatch):
     assert sent == [1, 2, 3, 3, 4]
 
 
+def test_a_copy_that_was_not_checked_before_a_crash_is_checked_after_it(place, tmp_path, monkeypatch):
+    """Of a store that gives no checksum: what it was sent is in the metadata, damaged or not."""
+    url, here = place("s3"), recordings(tmp_path / "here", "x80-20260101-000000.mcap")
+    call, called = s3_store.S3Store._call, []
+
+    def flipped_once(self, method, **arguments):
+        if method == "head_object" and called[-1:] == ["complete_multipart_upload"]:
+            called.append("killed")
+            raise KilledError
+        called.append(method)
+        if called.count("upload_part") == 1 and method == "upload_part":
+            arguments["Body"] = arguments["Body"][:-1] + bytes((arguments["Body"][-1] ^ 1,))
+        reply = call(self, method, **arguments)
+        return {"ETag": reply["ETag"], "ServerSideEncryption": "aws:kms"} if method == "upload_part" else reply
+
+    monkeypatch.setattr(s3_store.S3Store, "_call", flipped_once)
+    with pytest.raises(KilledError):
+        run(here, url)
+    monkeypatch.setattr(s3_store.S3Store, "_call", call)
+    run(here, url)
+    assert there(url) == {"x80-20260101-000000.mcap": path_of("driving").read_bytes()}
+    assert not list(here.glob("*.uploading"))
+
+
 @pytest.mark.parametrize("says", ["md5", "nothing"])
 def test_bytes_that_arrive_damaged_are_sent_again_and_never_stay(says, place, tmp_path, monkeypatch):
     url, here = place("s3"), recordings(tmp_path / "here", "x80-20260101-000000.mcap")
@@ -249,6 +274,41 @@ def test_without_network_it_waits_longer_each_time_and_goes_on_by_itself(place, 
     assert any("Could not connect; tried again in" in state for state in states)
     assert sum(level == "WARNING" for level, _ in events) == 2, "once for each recording"
     assert len(there(url)) == 2
+
+
+@pytest.mark.parametrize("call", ["exists", "put_file", "open"])
+def test_an_error_of_a_library_of_a_store_is_tried_again(call, place, tmp_path, monkeypatch):
+    """As of gcsfs: it is no OSError, and the network comes back."""
+    url, here, states = place("memory"), recordings(tmp_path / "here", "x80-20260101-000000.mcap"), []
+    system, failed = type(Folder(url).system), []
+    real = getattr(system, call)
+
+    def offline(self, *args, **options):
+        if len(failed) < 2:
+            failed.append(call)
+            raise EndpointConnectionError(endpoint_url="https://store")
+        return real(self, *args, **options)
+
+    monkeypatch.setattr(system, call, offline)
+    assert run(here, url, states=states) == 1
+    assert sum("Could not connect" in state and "tried again in" in state for state in states) == 2
+
+
+def test_an_error_while_a_copy_is_read_back_is_tried_again(place, tmp_path, monkeypatch):
+    url, here, states = place("s3"), recordings(tmp_path / "here", "x80-20260101-000000.mcap"), []
+    system = Folder(url).system
+    system.pipe_file(f"{url}/x80-20260101-000000.mcap", path_of("driving").read_bytes())  # by another program
+    real, failed = type(system).open, []
+
+    def offline(self, *args, **options):
+        if not failed:
+            failed.append(args)
+            raise EndpointConnectionError(endpoint_url="https://store")
+        return real(self, *args, **options)
+
+    monkeypatch.setattr(type(system), "open", offline)
+    assert run(here, url, states=states) == 1
+    assert sum("Could not connect" in state and "tried again in" in state for state in states) == 1
 
 
 def test_a_part_that_was_removed_meanwhile_leaves_nothing(place, tmp_path, monkeypatch):

@@ -17,8 +17,9 @@ from services.recorder.service import RecorderService
 from shared import topics
 from shared.codec import Envelope, decode, encode
 from shared.config import UserError
-from shared.messages import LogLine, MapMode, Odometry, Velocity
-from shared.recording import CONFIG, Drop, Recording, Writer, sink
+from shared.messages import EmergencyStop, LogLine, MapMode, Odometry, Velocity
+from shared.recording import CONFIG, Channel, Drop, Entry, Recording, Writer, sink
+from shared.recordings.reader import LATCHED
 from shared.runners.replay import replay
 from shared.types import NS_PER_S
 from tests.replay.record import path_of
@@ -397,6 +398,38 @@ def test_merged_parts_are_what_was_published_and_replay_to_the_byte(tmp_path, ca
     replayed = replay(recording, CHAIN, build)
     assert replayed.gaps == []
     assert compare_replayed(replayed).equal
+
+
+def test_trim_keeps_a_latched_message_that_no_other_of_its_topics_follows(tmp_path):
+    path, out = tmp_path / "a.mcap", tmp_path / "b.mcap"
+    payload = encode(EmergencyStop(0, True, "x"), Envelope("operator", "s", 0, 0))
+    with Writer(path) as writer:
+        writer.write("estop", EmergencyStop, payload, 0, 0, 0)
+        for second in range(60):
+            writer.write("log/mapper", LogLine, b"x", second * NS_PER_S, 0, second)
+    assert trim(path, out, 30.0, None, ["estop"]) == 0
+    assert [(e.key, e.log_time, e.latched, e.payload) for e in Recording(out).entries()] == [
+        ("estop", 30 * NS_PER_S, True, payload)
+    ]
+
+
+def test_what_was_latched_while_the_disk_was_full_is_in_the_merged_recording(tmp_path):
+    latched = {"metadata": (LATCHED,), "encoding": "msgpack", "schema_name": "", "schema_encoding": "", "schema": b""}
+    for part, missed in ((1, []), (2, [Drop(30, "disk_full", "map", "s", 2, 5)])):
+        about = {"robot": "x80", "recording": "run", "part": str(part)}
+        with Writer(tmp_path / f"run.part{part}.mcap", about) as writer:
+            for key in ("map", "plan") if part == 2 else ():
+                writer.copy(Entry(Channel(key=key, **latched), 30, 20, 6, b"latched"))
+            writer.note_drops(missed)
+            for i in range(3):
+                writer.write("map", LogLine, b"x", 30 * part - 30 + i, i, 7 * part - 7 + i)
+    out = tmp_path / "whole.mcap"
+    assert merge([tmp_path / "run.part1.mcap", tmp_path / "run.part2.mcap"], out) == 0
+    found = [(entry.key, entry.log_time, entry.latched) for entry in Recording(out).entries()]
+    assert found == [
+        ("map", 0, False), ("map", 1, False), ("map", 2, False), ("map", 30, True),
+        ("map", 30, False), ("map", 31, False), ("map", 32, False),
+    ]  # fmt: skip
 
 
 def test_recordings_that_were_taken_side_by_side_are_merged_by_their_times(tmp_path):
