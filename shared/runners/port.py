@@ -375,8 +375,17 @@ def _path(config: PortConfig) -> str:
 def _holders(device: str) -> str:
     """` by NAME (PID)` of each other process that has the device open, as far as /proc shows it."""
     holders = set()
-    for link in Path("/proc").glob("[0-9]*/fd/*"):
-        with suppress(OSError):
-            if os.readlink(link) == device and link.parts[2] != str(os.getpid()):
-                holders.add(f"{(link.parent.parent / 'comm').read_text().strip()} ({link.parts[2]})")
+    for process in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):  # another user's, or it has ended meanwhile
+            for link in (process / "fd").iterdir():
+                if process.name != str(os.getpid()) and _target(link) == device:
+                    holders.add(f"{(process / 'comm').read_text().strip()} ({process.name})")
     return f" by {', '.join(sorted(holders))}" if holders else ""
+
+
+def _target(link: Path) -> str:
+    """Where a symbolic link leads; empty where it is gone."""
+    try:
+        return os.readlink(link)
+    except OSError:
+        return ""
