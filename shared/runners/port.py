@@ -36,6 +36,7 @@ LIFE = 0.1  # s from an order to write until it is void
 AGAIN = 0.25  # s between two tries to open
 PATIENCE = 0.1  # s that a read waits, so that closing is noticed
 CHUNK = 4096  # bytes read at once, at most
+MAX_SOCKET_PORT = 65535
 GROUP_MAY = stat.S_IRGRP | stat.S_IWGRP
 
 
@@ -163,7 +164,7 @@ def opened(config: PortConfig) -> Line:
     kind, _, address = device.partition("://")
     if kind in ("udp", "listen"):
         host, _, port = address.rpartition(":")
-        if not port.isdecimal():
+        if not port.isdecimal() or int(port) > MAX_SOCKET_PORT:
             raise OSError(errno.EINVAL, f"{device!r} is no {kind}://HOST:PORT")
         return Datagrams(host, int(port)) if kind == "udp" else Listener(host, int(port))
     return SerialLine(device, config.baud, config.dtr)

@@ -264,7 +264,17 @@ def test_each_error_of_a_device_is_one_line(number, hint):
     assert "\n" not in text
 
 
-@pytest.mark.parametrize("device", ["udp://nowhere", "listen://here", "gopher://x", "socket://nobody"])
+@pytest.mark.parametrize(
+    "device",
+    [
+        "udp://nowhere",
+        "listen://here",
+        "gopher://x",
+        "socket://nobody",
+        "udp://10.0.0.2:65536",
+        "listen://0.0.0.0:99999",
+    ],
+)
 def test_a_device_that_is_no_address_is_an_error_that_names_it(device):
     config = PortConfig(device=device)
     with pytest.raises(OSError) as refused:
