@@ -20,6 +20,7 @@ from zenav.stack.preloaded import GUARD, Adopted, Preloaded, wait_for_end
 
 ROOT = Path(__file__).resolve().parents[2]
 MAX_SILENCE_S = 5.0  # s without a health message after which a service that had sent one counts as hung
+MAX_STEP_S = 1.0  # s between two steps; the launcher itself stood still for the rest, as by Ctrl-Z
 START_LIMIT = 180.0  # s to the first health message: a first start may compile its kernels
 RECORDER_LIMIT = 20.0  # s that the others wait for the recorder, which shall miss nothing
 MAX_SHUTDOWN_S = (
@@ -84,6 +85,7 @@ class Launcher:
             name: ServiceProcess(name, command, self.logs / f"{name}.log") for name, command in self.commands.items()
         }
         self._lock = threading.Lock()
+        self._stepped = time.monotonic()
         paths = [str(ROOT), os.environ.get("PYTHONPATH", "")]  # noqa: TID251  # a child's environment is made here
         self._environment = dict(os.environ, PYTHONPATH=os.pathsep.join(p for p in paths if p))  # noqa: TID251
         self.preloaded = Preloaded(list(self.commands.values()), self._environment)
@@ -141,6 +143,7 @@ class Launcher:
         Raises UserError in a service's own words where the service refuses its configuration at the start.
         """
         self.preloaded.step()
+        self._discount_own_pause()
         for child in self.children.values():
             self._show(child)
             if child.process is None:
@@ -186,6 +189,16 @@ class Launcher:
                 _signal_group(child.process, signal.SIGKILL)
                 _wait(child.process, 0.5)
             self._show(child)
+
+    def _discount_own_pause(self) -> None:
+        """Counts no service as silent for the time in which this process could hear none."""
+        now = time.monotonic()
+        pause, self._stepped = now - self._stepped - MAX_STEP_S, now
+        if pause > 0:
+            with self._lock:
+                for child in self.children.values():
+                    child.started = min(child.started + pause, now)
+                    child.heard = min(child.heard + pause, now) if child.heard else 0.0
 
     def _check_hung(self, child: ServiceProcess) -> None:
         now = time.monotonic()

@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import psutil
 import pytest
@@ -71,6 +72,26 @@ def test_a_service_that_falls_silent_is_killed_and_started_again(tmp_path, monke
         until(lambda: child.n_restarts == 1, launcher.step)
         assert not alive(first)
     assert any("hung" in line for _, line in told)
+
+
+def test_silence_while_the_launcher_itself_stood_still_is_no_service_s(tmp_path, monkeypatch):
+    now = [time.monotonic()]
+    monkeypatch.setattr(launch, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    with Launcher({"sim": code(IDLE)}, tmp_path) as launcher:
+        launcher.start_all()
+        child = launcher.children["sim"]
+        launcher.hear(health("sim", child.process.pid))
+        launcher.step()
+        now[0] += 60.0  # Ctrl-Z, and fg a minute later
+        launcher.step()
+        assert child.cause == ""
+        assert child.running
+
+        def step() -> None:
+            now[0] += 0.1
+            launcher.step()
+
+        until(lambda: child.n_restarts == 1, step)  # it is silent from then on, too
 
 
 def test_a_service_that_has_not_spoken_yet_is_given_time_and_a_stranger_s_health_is_not_its_own(tmp_path, monkeypatch):
