@@ -205,7 +205,7 @@ class Launcher:
         with self._lock:
             silent = now - (child.heard or child.started)
             limit = MAX_SILENCE_S * max(self.slowness, 1.0) if child.heard else START_LIMIT
-        if silent > limit:
+        if silent > limit and child.cause != "hung":  # one that was killed may take its time to end
             self.show_line(child.name, f"hung: no health message for {silent:.0f} s; it is killed and started again")
             child.cause = "hung"
             self.kill(child.name)

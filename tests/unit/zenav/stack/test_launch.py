@@ -74,6 +74,18 @@ def test_a_service_that_falls_silent_is_killed_and_started_again(tmp_path, monke
     assert any("hung" in line for _, line in told)
 
 
+def test_a_hung_service_that_takes_long_to_end_is_told_once(tmp_path, monkeypatch):
+    monkeypatch.setattr(launch, "MAX_SILENCE_S", -1.0)
+    told: list[tuple[str, str]] = []
+    with Launcher({"sim": code(IDLE)}, tmp_path, lambda *line: told.append(line)) as launcher:
+        launcher.start_all()
+        launcher.hear(health("sim", launcher.children["sim"].process.pid))
+        monkeypatch.setattr(launcher, "kill", lambda name: None)  # as where it waits for a disk
+        for _ in range(5):
+            launcher.step()
+    assert sum("hung" in line for _, line in told) == 1
+
+
 def test_silence_while_the_launcher_itself_stood_still_is_no_service_s(tmp_path, monkeypatch):
     now = [time.monotonic()]
     monkeypatch.setattr(launch, "time", SimpleNamespace(monotonic=lambda: now[0]))
