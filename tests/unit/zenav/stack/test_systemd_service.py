@@ -124,6 +124,14 @@ def test_udev_rules_are_not_written_for_one_user(machine, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_unit_whose_folder_is_missing_is_not_installed(machine, tmp_path, capsys):
+    missing = tmp_path / "none"
+    assert _status(["install-service", "--robot", "x80sv", "--folder", str(missing)]) == 2
+    assert f"there is no folder {missing}\nhint: make it" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+    assert machine == []
+
+
 def test_printing_writes_nothing(machine, tmp_path, capsys):
     assert _status(["install-service", "--robot", "x80sv", "--system", "--print", "--udev"]) == 0
     shown = capsys.readouterr().out
