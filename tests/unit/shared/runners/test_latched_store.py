@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A service's latched values on disk: the newest of them shows when its process ended."""
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 import pytest
 
@@ -30,9 +28,8 @@ def disk(tmp_path):
 
 
 def restored(disk, now):
-    with ThreadPoolExecutor(1) as workers:
-        store = LatchedStore(disk, KEYS, workers)
-        return [key for key, _, _ in store.restore(now, lambda words, now: pytest.fail(words))]
+    store = LatchedStore(disk, KEYS)
+    return [key for key, _, _ in store.restore(now, lambda words, now: pytest.fail(words))]
 
 
 def test_what_rarely_changes_is_restored_with_what_changes_often(disk):
