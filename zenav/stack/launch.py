@@ -8,6 +8,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -101,7 +102,9 @@ class Launcher:
     def start(self, name: str) -> None:
         """Starts one service's process: a fork of the preloaded parent, or a new program where there is none."""
         child = self.children[name]
+        child.log.parent.mkdir(parents=True, exist_ok=True)  # a user may have cleaned up
         with child.log.open("ab") as log:
+            child.told = min(child.told, log.tell())
             child.process = self.preloaded.fork(child.command, log) or subprocess.Popen(
                 child.command,
                 stdin=subprocess.DEVNULL,
@@ -142,14 +145,14 @@ class Launcher:
 
         Raises UserError in a service's own words where the service refuses its configuration at the start.
         """
-        self.preloaded.step()
+        with suppress(OSError):  # it cannot be started for the moment, and nothing depends on it
+            self.preloaded.step()
         self._discount_own_pause()
         for child in self.children.values():
             self._show(child)
             if child.process is None:
                 if child.due and time.monotonic() >= child.due:
-                    child.n_restarts += 1
-                    self.start(child.name)
+                    self._restart(child)
                 continue
             status = child.process.poll()
             if status is None:
@@ -217,14 +220,22 @@ class Launcher:
             raise UserError(*_own_words(child.name, words))
         lived = time.monotonic() - child.started
         child.n_deaths = 1 if lived > HEALTHY_AFTER else child.n_deaths + 1
-        wait = BACK_OFF[min(child.n_deaths - 1, len(BACK_OFF) - 1)]
-        child.process, child.due = None, time.monotonic() + wait
+        child.process, wait = None, _put_off(child)
         child.cause = child.cause if child.cause == "hung" else _exit_text(status)
         self.show_line(
             child.name, f"{child.cause} after {lived:.1f} s; started again" + (f" in {wait:g} s" if wait else "")
         )
         if child.cause == "hung":
             child.cause = ""
+
+    def _restart(self, child: ServiceProcess) -> None:
+        child.n_restarts += 1
+        try:
+            self.start(child.name)
+        except OSError as error:  # no memory, too many processes, a full disk: that may pass
+            child.n_deaths += 1
+            wait = _put_off(child)
+            self.show_line(child.name, f"cannot be started: {error.strerror}; tried again in {wait:g} s")
 
     def _show(self, child: ServiceProcess) -> None:
         """Hands on what the service wrote since the last time, whole lines."""
@@ -239,6 +250,13 @@ class Launcher:
             child.told += len(whole) + 1
             for line in whole.decode(errors="replace").splitlines():
                 self.show_line(child.name, line)
+
+
+def _put_off(child: ServiceProcess) -> float:
+    """Sets when a dead service is due, later after each death in a row. Returns the s until then."""
+    wait = BACK_OFF[min(child.n_deaths - 1, len(BACK_OFF) - 1)]
+    child.due = time.monotonic() + wait
+    return wait
 
 
 def last_lines(log: Path, n: int = 20) -> list[str]:

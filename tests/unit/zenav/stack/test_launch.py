@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The launcher's promises, with processes that do nothing, die, hang, or refuse to end."""
 
+import errno
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -72,6 +74,35 @@ def test_a_service_that_falls_silent_is_killed_and_started_again(tmp_path, monke
         until(lambda: child.n_restarts == 1, launcher.step)
         assert not alive(first)
     assert any("hung" in line for _, line in told)
+
+
+def test_a_service_whose_log_s_folder_was_removed_is_started_again(tmp_path):
+    told: list[tuple[str, str]] = []
+    logs = tmp_path / "out" / "up"
+    with Launcher({"sim": code(IDLE)}, logs, lambda *line: told.append(line)) as launcher:
+        launcher.start_all()
+        child = launcher.children["sim"]
+        until(lambda: ("sim", "up") in told, launcher.step)
+        shutil.rmtree(tmp_path / "out")
+        os.kill(child.process.pid, signal.SIGKILL)
+        until(lambda: told.count(("sim", "up")) == 2, launcher.step)  # its words are shown again, too
+        assert child.running
+
+
+def test_a_service_that_cannot_be_started_for_the_moment_is_tried_again(tmp_path, monkeypatch):
+    told: list[str] = []
+    with Launcher({"sim": code(IDLE)}, tmp_path, lambda name, line: told.append(line)) as launcher:
+        launcher.start_all()
+        child = launcher.children["sim"]
+        with monkeypatch.context() as full:
+            full.setattr(launch.subprocess, "Popen", no_memory)
+            os.kill(child.process.pid, signal.SIGKILL)
+            until(lambda: any("cannot be started" in line for line in told), launcher.step)
+        until(lambda: child.running, launcher.step)
+
+
+def no_memory(*_: object, **__: object) -> None:
+    raise OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
 
 
 def test_a_hung_service_that_takes_long_to_end_is_told_once(tmp_path, monkeypatch):
