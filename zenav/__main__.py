@@ -4,8 +4,10 @@
 import shared.repeatable  # noqa: F401  # before numpy
 
 # isort: split
+import errno
 import os
 import sys
+from contextlib import suppress
 from typing import Any
 
 import typer
@@ -30,6 +32,7 @@ from zenav.cli.measuring import bench
 # isort: on
 from zenav.cli.parts import DRIVE, FILES, LOOK, MAIN, app
 
+DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 USAGE_ERROR: Any = typer.BadParameter.__base__  # typer's public names have only its descendants
 
 app.add_typer(robot, name="robot", rich_help_panel=MAIN)
@@ -69,6 +72,9 @@ def _status(arguments: list[str] | None) -> int:
     except Exception as error:
         from shared.config import UserError
 
+        if isinstance(error, OSError) and error.errno in DISK_FULL:
+            place = f": {error.filename}" if error.filename else ""
+            error = UserError(f"no space is left on the disk{place}", "make room: see df -h")
         if not isinstance(error, UserError):
             raise
         sys.stderr.write(f"{_one_line(error.what)}\nhint: {_one_line(error.hint)}\n")
@@ -89,8 +95,9 @@ def main(arguments: list[str] | None = None) -> None:
 
         traceback.print_exc()
     finally:
-        sys.stdout.flush()
-        sys.stderr.flush()
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError):  # a full disk was reported when it was written to
+                stream.flush()
         os._exit(status)  # Zenoh's threads are not daemons: a plain return could hang
 
 

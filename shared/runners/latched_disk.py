@@ -5,6 +5,7 @@ import logging
 from collections.abc import Callable
 from pathlib import Path
 
+from shared.config import UserError
 from shared.file_modes import make_folder
 from shared.types import NS_PER_S
 
@@ -14,11 +15,18 @@ log = logging.getLogger("zenav")
 
 
 class LatchedDisk:
-    """The last values of a service's latched topics, in files of `folder`."""
+    """The last values of a service's latched topics, in files of `folder`.
+
+    Raises UserError where the folder cannot be made.
+    """
 
     def __init__(self, folder: Path, name: str) -> None:
         self.folder, self._name = folder, name
-        make_folder(folder)
+        try:
+            make_folder(folder)
+        except OSError as error:
+            what = f"nothing can be kept for a restart in {folder}: {error.strerror}"
+            raise UserError(what, "name another folder: --memory") from None
 
     def write(self, key: str, value: Callable[[], bytes]) -> None:
         """Replaces a key's value as a whole. An error is logged."""

@@ -3,7 +3,7 @@
 
 import logging
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
 from functools import partial
 
@@ -14,18 +14,21 @@ from shared.runners.host import Sent, merged
 from shared.runners.latched_disk import MAX_RESTART_AGE_NS, LatchedDisk
 from shared.runners.transport import LatchedPublisher
 
+PATIENCE_S = 0.2  # s that the end of a process waits for its disk
+
 log = logging.getLogger("zenav")
 
 
 class LatchedStore:
     """Latched values of one service. own: the keys that it subscribes to itself: only these are on disk.
 
-    workers: the executor that writes the files.
+    A thread of its own writes the files: a value would else wait for a slow job, and be lost with a crash meanwhile.
     """
 
-    def __init__(self, disk: LatchedDisk | None, own: list[str], workers: Executor) -> None:
+    def __init__(self, disk: LatchedDisk | None, own: list[str]) -> None:
         self.publishers: dict[str, LatchedPublisher] = {}
-        self._disk, self._own, self._workers = disk, own, workers
+        self._disk, self._own = disk, own
+        self._writer = ThreadPoolExecutor(1, thread_name_prefix="latched")
         self._values: dict[str, Message] = {}
         self._unsaved: dict[str, Callable[[], bytes]] = {}
 
@@ -67,7 +70,12 @@ class LatchedStore:
         """Orders the writing of new values to disk."""
         if self._disk is not None:
             for key in set(self._own) & set(self._unsaved):
-                self._workers.submit(self._disk.write, key, self._unsaved.pop(key))
+                self._writer.submit(self._disk.write, key, self._unsaved.pop(key))
+
+    def close(self) -> None:
+        """Returns when every ordered value is on the disk, or after PATIENCE_S."""
+        wait([self._writer.submit(lambda: None)], PATIENCE_S)
+        self._writer.shutdown(wait=False, cancel_futures=True)
 
 
 def _same(before: Message | None, message: Message) -> bool:

@@ -74,7 +74,7 @@ class LiveRunner:
         self._slots: list[Slot] = [self._requests, self._from_ports]
         self._others: dict[str, OtherRobotsAdmission] = {}  # by key
         self._workers = ThreadPoolExecutor(1, thread_name_prefix="job")
-        self._latched = LatchedStore(disk, self._own_latched(), self._workers)
+        self._latched = LatchedStore(disk, self._own_latched())
         self._checkpoints = CheckpointDisk(disk.folder, name, self._workers) if disk is not None else None
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._timers: list[TickTimer] = []
@@ -114,6 +114,7 @@ class LiveRunner:
             self._workers.shutdown(wait=False, cancel_futures=True)
             for port in self._ports.values():
                 port.close()
+            self._latched.close()
             self._publish_journals(self.clock.now())
             if self._box is not None and (path := self._box.close(crashed)) is not None:
                 log.error("%s replays the crash: zenav replay %s --through %s", path, path, self.name)

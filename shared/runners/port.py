@@ -36,6 +36,7 @@ LIFE = 0.1  # s from an order to write until it is void
 AGAIN = 0.25  # s between two tries to open
 PATIENCE = 0.1  # s that a read waits, so that closing is noticed
 CHUNK = 4096  # bytes read at once, at most
+MAX_SOCKET_PORT = 65535
 GROUP_MAY = stat.S_IRGRP | stat.S_IWGRP
 
 
@@ -163,7 +164,7 @@ def opened(config: PortConfig) -> Line:
     kind, _, address = device.partition("://")
     if kind in ("udp", "listen"):
         host, _, port = address.rpartition(":")
-        if not port.isdecimal():
+        if not port.isdecimal() or int(port) > MAX_SOCKET_PORT:
             raise OSError(errno.EINVAL, f"{device!r} is no {kind}://HOST:PORT")
         return Datagrams(host, int(port)) if kind == "udp" else Listener(host, int(port))
     return SerialLine(device, config.baud, config.dtr)
@@ -375,8 +376,17 @@ def _path(config: PortConfig) -> str:
 def _holders(device: str) -> str:
     """` by NAME (PID)` of each other process that has the device open, as far as /proc shows it."""
     holders = set()
-    for link in Path("/proc").glob("[0-9]*/fd/*"):
-        with suppress(OSError):
-            if os.readlink(link) == device and link.parts[2] != str(os.getpid()):
-                holders.add(f"{(link.parent.parent / 'comm').read_text().strip()} ({link.parts[2]})")
+    for process in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):  # another user's, or it has ended meanwhile
+            for link in (process / "fd").iterdir():
+                if process.name != str(os.getpid()) and _target(link) == device:
+                    holders.add(f"{(process / 'comm').read_text().strip()} ({process.name})")
     return f" by {', '.join(sorted(holders))}" if holders else ""
+
+
+def _target(link: Path) -> str:
+    """Where a symbolic link leads; empty where it is gone."""
+    try:
+        return os.readlink(link)
+    except OSError:
+        return ""

@@ -9,8 +9,10 @@ from shared.messages import EmergencyStop, GuardState, GuardStatus
 from shared.reasons import reason_text
 from shared.runners.client import Client
 from shared.runners.transport import StackAddress
+from shared.types import NS_PER_S
 
 PATIENCE_S = 3.0
+STATUS_S = 0.5  # s within which a new client has the guard's newest status
 LATCHED = tuple(reason.code for reason in (reasons.WHEEL_STUCK, reasons.WHEEL_ASTRAY, reasons.ENCODERS_BROKEN))
 """Faults that a release ends."""
 
@@ -19,10 +21,15 @@ def confirm_stop(client: Client, press: bool, by: str) -> None:
     """Presses or releases STOP, again and again until the guard confirms. The client follows topics.GUARD.
 
     Only a status that came after the first order confirms it. A release also ends latched faults. It keeps its first
-    stamp, so that a STOP that was pressed meanwhile holds.
+    stamp, so that a STOP that was pressed meanwhile holds. That is the time of the call, by the guard's clock where it
+    is ahead: a new client does not know a simulator's clock yet.
     Raises UserError where the guard does not confirm within 3 s.
     """
-    began, released_at = time.monotonic(), client.now()
+    called, released_at = time.monotonic(), client.now()
+    known = None if press else client.wait(topics.GUARD, lambda _: True, STATUS_S)
+    began = time.monotonic()
+    if known is not None:
+        released_at = max(released_at, known.stamp - round((began - called) * NS_PER_S))
 
     def confirms(status: GuardStatus) -> bool:
         is_stopped = status.state is GuardState.STOPPED

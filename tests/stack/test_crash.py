@@ -13,13 +13,15 @@ import pytest
 
 from services.recorder.recording_store import RecorderConfig, RecordingStore
 from shared import requests, topics
-from shared.codec import Envelope, encode
+from shared.codec import Envelope, decode, encode
+from shared.config import UserError
 from shared.geometry import Pose2
-from shared.messages import MapUpdate, Odometry
+from shared.messages import MapUpdate, NavTask, Odometry, TaskKind
 from shared.recording import Recording
-from shared.requests import LoadMap
+from shared.requests import Cancel, LoadMap, Pause
 from shared.runners import transport
 from shared.runners.blackbox import BlackBox, crash_in, crash_of
+from shared.runners.client import Client
 from shared.runners.clock import StackClock
 from shared.runners.journal import HOLE
 from shared.runners.latched_disk import LatchedDisk
@@ -75,6 +77,33 @@ class DyingTiles(Tiles):
         yield from super().draw()
         if self.dies == "restart" and self.version > 12:
             raise RuntimeError(f"version {self.version}")
+
+
+class DyingTask(Service):
+    """Gets a task while a job of it runs, and dies before that ends."""
+
+    def __init__(self, until: threading.Event) -> None:
+        super().__init__(DEFAULTS, ROBOT)
+        self.until = until
+
+    @on(topics.TASK)
+    def restored(self, task: NavTask) -> Out:
+        return ()
+
+    @answer(requests.CANCEL)
+    def cancel(self, request: Cancel) -> Answer[requests.Reply]:
+        yield Job(self.until.wait, (), done="waited", takes=1.0)
+        unused = (False, (), (), 1, False, 0.0, 0.0, 0, 0, False, 0.0)
+        yield topics.TASK(NavTask(self.now, 7, TaskKind.NONE, 0.0, 0, *unused))
+        return requests.Reply(self.now, True, "", "", 7)
+
+    @answer(requests.PAUSE)
+    def pause(self, request: Pause) -> Answer[requests.Reply]:
+        raise RuntimeError("no pause")
+        yield
+
+    def waited(self, is_set: bool) -> Out:
+        return ()
 
 
 def divided(n: int) -> int:
@@ -154,6 +183,20 @@ def test_a_request_and_a_job_that_kill_are_replayed(tmp_path, where, dies, error
     with pytest.raises(error) as raised:
         replay(recording, ["mapper"], lambda name: DyingTiles(dies))
     assert crash_of(raised.value) == crash_in(recording, "mapper") != ""
+
+
+def test_what_was_to_be_kept_is_kept_though_a_job_runs_when_the_service_dies(tmp_path, where):
+    job_ends = threading.Event()
+    with dying(DyingTask(job_ends), "navigator", where, tmp_path) as thread, Client(ROBOT.name, where) as client:
+        assert client.answers(requests.PAUSE, 20.0)
+        assert client.ask(requests.CANCEL, Cancel(client.now())).task_id == 7
+        with pytest.raises(UserError):  # it dies instead of a reply
+            client.ask(requests.PAUSE, Pause(client.now(), True), 1.0)
+        thread.join(20)
+    kept = LatchedDisk(tmp_path / "memory", "navigator").read("nav/task")
+    job_ends.set()
+    assert kept is not None
+    assert decode(NavTask, kept)[0].task_id == 7
 
 
 def tile_row():  # type: ignore[no-untyped-def]

@@ -44,6 +44,7 @@ def uninstall_service(robot: RobotName, system: System = False) -> None:
 
     Example: zenav uninstall-service --robot my_robot
     """
-    from zenav.stack.systemd_service import uninstall
+    from zenav.stack.systemd_service import SystemdService, uninstall
 
-    uninstall(Path(robot).stem, "system" if system else "user")
+    service = SystemdService(robot, "system" if system else "user", Path())
+    uninstall(service.name, service.scope)

@@ -8,6 +8,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from zenav.stack.preloaded import GUARD, Adopted, Preloaded, wait_for_end
 
 ROOT = Path(__file__).resolve().parents[2]
 MAX_SILENCE_S = 5.0  # s without a health message after which a service that had sent one counts as hung
+MAX_STEP_S = 1.0  # s between two steps; the launcher itself stood still for the rest, as by Ctrl-Z
 START_LIMIT = 180.0  # s to the first health message: a first start may compile its kernels
 RECORDER_LIMIT = 20.0  # s that the others wait for the recorder, which shall miss nothing
 MAX_SHUTDOWN_S = (
@@ -84,6 +86,7 @@ class Launcher:
             name: ServiceProcess(name, command, self.logs / f"{name}.log") for name, command in self.commands.items()
         }
         self._lock = threading.Lock()
+        self._stepped = time.monotonic()
         paths = [str(ROOT), os.environ.get("PYTHONPATH", "")]  # noqa: TID251  # a child's environment is made here
         self._environment = dict(os.environ, PYTHONPATH=os.pathsep.join(p for p in paths if p))  # noqa: TID251
         self.preloaded = Preloaded(list(self.commands.values()), self._environment)
@@ -99,7 +102,9 @@ class Launcher:
     def start(self, name: str) -> None:
         """Starts one service's process: a fork of the preloaded parent, or a new program where there is none."""
         child = self.children[name]
+        child.log.parent.mkdir(parents=True, exist_ok=True)  # a user may have cleaned up
         with child.log.open("ab") as log:
+            child.told = min(child.told, log.tell())
             child.process = self.preloaded.fork(child.command, log) or subprocess.Popen(
                 child.command,
                 stdin=subprocess.DEVNULL,
@@ -140,13 +145,14 @@ class Launcher:
 
         Raises UserError in a service's own words where the service refuses its configuration at the start.
         """
-        self.preloaded.step()
+        with suppress(OSError):  # it cannot be started for the moment, and nothing depends on it
+            self.preloaded.step()
+        self._discount_own_pause()
         for child in self.children.values():
             self._show(child)
             if child.process is None:
                 if child.due and time.monotonic() >= child.due:
-                    child.n_restarts += 1
-                    self.start(child.name)
+                    self._restart(child)
                 continue
             status = child.process.poll()
             if status is None:
@@ -187,12 +193,22 @@ class Launcher:
                 _wait(child.process, 0.5)
             self._show(child)
 
+    def _discount_own_pause(self) -> None:
+        """Counts no service as silent for the time in which this process could hear none."""
+        now = time.monotonic()
+        pause, self._stepped = now - self._stepped - MAX_STEP_S, now
+        if pause > 0:
+            with self._lock:
+                for child in self.children.values():
+                    child.started = min(child.started + pause, now)
+                    child.heard = min(child.heard + pause, now) if child.heard else 0.0
+
     def _check_hung(self, child: ServiceProcess) -> None:
         now = time.monotonic()
         with self._lock:
             silent = now - (child.heard or child.started)
             limit = MAX_SILENCE_S * max(self.slowness, 1.0) if child.heard else START_LIMIT
-        if silent > limit:
+        if silent > limit and child.cause != "hung":  # one that was killed may take its time to end
             self.show_line(child.name, f"hung: no health message for {silent:.0f} s; it is killed and started again")
             child.cause = "hung"
             self.kill(child.name)
@@ -204,14 +220,22 @@ class Launcher:
             raise UserError(*_own_words(child.name, words))
         lived = time.monotonic() - child.started
         child.n_deaths = 1 if lived > HEALTHY_AFTER else child.n_deaths + 1
-        wait = BACK_OFF[min(child.n_deaths - 1, len(BACK_OFF) - 1)]
-        child.process, child.due = None, time.monotonic() + wait
+        child.process, wait = None, _put_off(child)
         child.cause = child.cause if child.cause == "hung" else _exit_text(status)
         self.show_line(
             child.name, f"{child.cause} after {lived:.1f} s; started again" + (f" in {wait:g} s" if wait else "")
         )
         if child.cause == "hung":
             child.cause = ""
+
+    def _restart(self, child: ServiceProcess) -> None:
+        child.n_restarts += 1
+        try:
+            self.start(child.name)
+        except OSError as error:  # no memory, too many processes, a full disk: that may pass
+            child.n_deaths += 1
+            wait = _put_off(child)
+            self.show_line(child.name, f"cannot be started: {error.strerror}; tried again in {wait:g} s")
 
     def _show(self, child: ServiceProcess) -> None:
         """Hands on what the service wrote since the last time, whole lines."""
@@ -226,6 +250,13 @@ class Launcher:
             child.told += len(whole) + 1
             for line in whole.decode(errors="replace").splitlines():
                 self.show_line(child.name, line)
+
+
+def _put_off(child: ServiceProcess) -> float:
+    """Sets when a dead service is due, later after each death in a row. Returns the s until then."""
+    wait = BACK_OFF[min(child.n_deaths - 1, len(BACK_OFF) - 1)]
+    child.due = time.monotonic() + wait
+    return wait
 
 
 def last_lines(log: Path, n: int = 20) -> list[str]:

@@ -135,10 +135,15 @@ def udev_rules(file: RobotFile) -> str:
 
 
 def install(service: SystemdService, udev: bool) -> None:
-    """Writes and enables the unit. Raises UserError where systemd is not there or a file cannot be written."""
+    """Writes and enables the unit.
+
+    Raises UserError where systemd or the service's folder is not there, or a file cannot be written.
+    """
     file, text = service.file, unit_text(service)
     if udev and service.scope == "user":
         raise UserError("udev rules are for the whole machine", "add --system, with sudo; or see them: --udev --print")
+    if not service.folder.is_dir():
+        raise UserError(f"there is no folder {service.folder}", "make it, or name another one: --folder")
     _needs_systemd()
     if udev:
         _write(RULES / f"60-zenav-{service.name}.rules", udev_rules(file), "run it with sudo")

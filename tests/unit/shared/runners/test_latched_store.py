@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """A service's latched values on disk: the newest of them shows when its process ended."""
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 import pytest
 
 from shared.codec import Envelope, encode
+from shared.config import UserError
 from shared.geometry import Pose2
 from shared.messages import Localization, MapState, PoseEstimate
 from shared.runners.latched_disk import MAX_RESTART_AGE_NS, LatchedDisk
@@ -30,9 +29,8 @@ def disk(tmp_path):
 
 
 def restored(disk, now):
-    with ThreadPoolExecutor(1) as workers:
-        store = LatchedStore(disk, KEYS, workers)
-        return [key for key, _, _ in store.restore(now, lambda words, now: pytest.fail(words))]
+    store = LatchedStore(disk, KEYS)
+    return [key for key, _, _ in store.restore(now, lambda words, now: pytest.fail(words))]
 
 
 def test_what_rarely_changes_is_restored_with_what_changes_often(disk):
@@ -61,3 +59,10 @@ def test_values_that_cannot_be_read_are_none_and_do_not_stop_the_start(disk, cap
 
 def test_without_values_nothing_is_restored(tmp_path):
     assert restored(LatchedDisk(tmp_path / "none", "mapper"), ENDED) == []
+
+
+def test_a_folder_that_cannot_be_made_is_an_error_of_the_user(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(UserError, match=f"in {tmp_path}/file: File exists") as refused:
+        LatchedDisk(tmp_path / "file", "mapper")
+    assert "--memory" in refused.value.hint

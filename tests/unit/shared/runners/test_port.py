@@ -13,6 +13,7 @@ import threading
 import tty
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -203,6 +204,26 @@ def test_a_device_in_use_by_another_process_names_it(tmp_path, monkeypatch, numb
     assert f"is in use by {name} ({holder.pid}): end that" in state.detail
 
 
+def test_processes_that_end_while_the_holder_of_a_device_is_looked_for_are_left_out(tmp_path, monkeypatch):
+    device, processes = tmp_path / "ttyUSB0", tmp_path / "proc"
+    device.touch()
+    for number in ("1", "2", "3"):
+        (processes / number / "fd").mkdir(parents=True)
+    (processes / "2" / "fd" / "5").symlink_to(device)
+    (processes / "2" / "comm").write_text("modem\n")
+
+    def listed(function, path):
+        if Path(path).parent.name in ("1", "3") and Path(path).name == "fd":
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
+        return function(path)
+
+    for function in (os.scandir, os.listdir):  # by one of these a path lists its folder
+        monkeypatch.setattr(os, function.__name__, partial(listed, function))
+    monkeypatch.setattr(ports, "Path", lambda path: processes if path == "/proc" else Path(path))
+    busy = OSError(errno.EBUSY, os.strerror(errno.EBUSY))
+    assert "is in use by modem (2)" in trouble(PortConfig(device=str(device)), busy)
+
+
 @pytest.mark.parametrize(
     ("group", "mode", "hint"),
     [
@@ -243,7 +264,17 @@ def test_each_error_of_a_device_is_one_line(number, hint):
     assert "\n" not in text
 
 
-@pytest.mark.parametrize("device", ["udp://nowhere", "listen://here", "gopher://x", "socket://nobody"])
+@pytest.mark.parametrize(
+    "device",
+    [
+        "udp://nowhere",
+        "listen://here",
+        "gopher://x",
+        "socket://nobody",
+        "udp://10.0.0.2:65536",
+        "listen://0.0.0.0:99999",
+    ],
+)
 def test_a_device_that_is_no_address_is_an_error_that_names_it(device):
     config = PortConfig(device=device)
     with pytest.raises(OSError) as refused:

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """STOP and its release: only what the guard says after the order confirms it."""
 
+from dataclasses import replace
 from itertools import count
+from types import SimpleNamespace
 
 import pytest
 
@@ -9,6 +11,7 @@ from shared.config import UserError
 from shared.messages import GuardState, GuardStatus
 from shared.runners import stop_confirmation
 from shared.runners.stop_confirmation import confirm_stop
+from shared.types import NS_PER_S
 
 
 class FakeClient:
@@ -59,6 +62,21 @@ def test_the_release_of_a_fault_is_repeated_until_the_fault_has_ended():
     confirm_stop(client, False, "test")
     assert client.n_orders == 3
     assert len(set(client.stamps)) == 1, "a STOP that was pressed meanwhile is newer, and holds"
+
+
+def test_a_release_counts_by_the_guard_s_clock_where_that_is_ahead():
+    client = FakeClient(replace(STOPPED, stamp=10**15), [HELD])
+    confirm_stop(client, False, "test")
+    assert 10**15 - NS_PER_S < min(client.stamps) <= 10**15
+
+
+def test_a_stop_that_is_pressed_while_the_release_waits_for_a_status_holds(monkeypatch):
+    clock = count()
+    monkeypatch.setattr(stop_confirmation, "time", SimpleNamespace(monotonic=lambda: next(clock) / 10))
+    pressed_at = 10**7  # ns after the call, and before the first status, which comes 0.1 s after it
+    client = FakeClient(replace(STOPPED, stamp=10**8), [HELD])
+    confirm_stop(client, False, "test")
+    assert max(client.stamps) < pressed_at
 
 
 def test_a_repeated_stop_has_a_new_stamp_each_time():

@@ -268,6 +268,22 @@ def test_a_reader_that_has_gone_is_no_error(command):
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.parametrize("command", ["--help", "robots", "schema --json"])
+def test_a_full_disk_is_one_line_and_a_hint(command):
+    environment = dict(os.environ, PYTHONPATH=str(ROOT))  # noqa: TID251
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "zenav", *command.split()],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment,
+            timeout=60,
+        )
+    assert done.returncode == 2
+    assert done.stderr == "no space is left on the disk\nhint: make room: see df -h\n"
+
+
 def test_the_topics_are_data_on_stdout(capsys):
     import json
 

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The launcher's promises, with processes that do nothing, die, hang, or refuse to end."""
 
+import errno
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -9,6 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import psutil
 import pytest
@@ -71,6 +74,67 @@ def test_a_service_that_falls_silent_is_killed_and_started_again(tmp_path, monke
         until(lambda: child.n_restarts == 1, launcher.step)
         assert not alive(first)
     assert any("hung" in line for _, line in told)
+
+
+def test_a_service_whose_log_s_folder_was_removed_is_started_again(tmp_path):
+    told: list[tuple[str, str]] = []
+    logs = tmp_path / "out" / "up"
+    with Launcher({"sim": code(IDLE)}, logs, lambda *line: told.append(line)) as launcher:
+        launcher.start_all()
+        child = launcher.children["sim"]
+        until(lambda: ("sim", "up") in told, launcher.step)
+        shutil.rmtree(tmp_path / "out")
+        os.kill(child.process.pid, signal.SIGKILL)
+        until(lambda: told.count(("sim", "up")) == 2, launcher.step)  # its words are shown again, too
+        assert child.running
+
+
+def test_a_service_that_cannot_be_started_for_the_moment_is_tried_again(tmp_path, monkeypatch):
+    told: list[str] = []
+    with Launcher({"sim": code(IDLE)}, tmp_path, lambda name, line: told.append(line)) as launcher:
+        launcher.start_all()
+        child = launcher.children["sim"]
+        with monkeypatch.context() as full:
+            full.setattr(launch.subprocess, "Popen", no_memory)
+            os.kill(child.process.pid, signal.SIGKILL)
+            until(lambda: any("cannot be started" in line for line in told), launcher.step)
+        until(lambda: child.running, launcher.step)
+
+
+def no_memory(*_: object, **__: object) -> None:
+    raise OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
+
+
+def test_a_hung_service_that_takes_long_to_end_is_told_once(tmp_path, monkeypatch):
+    monkeypatch.setattr(launch, "MAX_SILENCE_S", -1.0)
+    told: list[tuple[str, str]] = []
+    with Launcher({"sim": code(IDLE)}, tmp_path, lambda *line: told.append(line)) as launcher:
+        launcher.start_all()
+        launcher.hear(health("sim", launcher.children["sim"].process.pid))
+        monkeypatch.setattr(launcher, "kill", lambda name: None)  # as where it waits for a disk
+        for _ in range(5):
+            launcher.step()
+    assert sum("hung" in line for _, line in told) == 1
+
+
+def test_silence_while_the_launcher_itself_stood_still_is_no_service_s(tmp_path, monkeypatch):
+    now = [time.monotonic()]
+    monkeypatch.setattr(launch, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    with Launcher({"sim": code(IDLE)}, tmp_path) as launcher:
+        launcher.start_all()
+        child = launcher.children["sim"]
+        launcher.hear(health("sim", child.process.pid))
+        launcher.step()
+        now[0] += 60.0  # Ctrl-Z, and fg a minute later
+        launcher.step()
+        assert child.cause == ""
+        assert child.running
+
+        def step() -> None:
+            now[0] += 0.1
+            launcher.step()
+
+        until(lambda: child.n_restarts == 1, step)  # it is silent from then on, too
 
 
 def test_a_service_that_has_not_spoken_yet_is_given_time_and_a_stranger_s_health_is_not_its_own(tmp_path, monkeypatch):

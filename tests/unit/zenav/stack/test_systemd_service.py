@@ -108,10 +108,28 @@ def test_installing_writes_and_enables_and_uninstalling_undoes_it(machine, tmp_p
     assert machine == [("system", "disable", "--now", "zenav-x80sv.service"), ("system", "daemon-reload")]
 
 
+@pytest.mark.parametrize("robot", ["red@x80sv", "red@{folder}/rover.yaml"])
+def test_the_option_that_installed_a_unit_uninstalls_it_and_no_other(robot, machine, tmp_path):
+    new_robot("rover", "x80sv", tmp_path)
+    robot = robot.format(folder=tmp_path)
+    for installed in (robot, str(tmp_path / "rover.yaml")):
+        install(SystemdService(installed, "user", tmp_path), udev=False)
+    assert _status(["uninstall-service", "--robot", robot]) == 0
+    assert [unit.name for unit in (tmp_path / "user").iterdir()] == ["zenav-rover.service"]
+
+
 def test_udev_rules_are_not_written_for_one_user(machine, tmp_path):
     with pytest.raises(UserError, match="whole machine"):
         install(SystemdService("x80sv", "user", tmp_path), udev=True)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_unit_whose_folder_is_missing_is_not_installed(machine, tmp_path, capsys):
+    missing = tmp_path / "none"
+    assert _status(["install-service", "--robot", "x80sv", "--folder", str(missing)]) == 2
+    assert f"there is no folder {missing}\nhint: make it" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+    assert machine == []
 
 
 def test_printing_writes_nothing(machine, tmp_path, capsys):
