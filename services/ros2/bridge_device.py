@@ -126,14 +126,15 @@ class BridgeDevice:
         while True:
             with self._changed:
                 self._changed.wait_for(self._has_work, min(map(_interval, self._pending), default=LOOK_S))
-                if self._is_closing:
-                    break
-                orders, self._orders = self._orders, []
+                is_closing, orders, self._orders = self._is_closing, self._orders, []
                 events, self._events = self._events, []
                 commanded = self._subscribers.labels
             self._advertise_commands(commanded)
             for order in orders:
-                self._obey(order)
+                if not is_closing or "publish" in order:  # the last velocity of a driven robot is zero
+                    self._obey(order)
+            if is_closing:
+                break
             now = time.monotonic()
             events += self._due_messages(now)
             if now >= look_at:

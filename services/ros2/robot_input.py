@@ -134,6 +134,11 @@ class RobotInput:
             self._command = None
             yield from self._published(0.0, 0.0, now)
 
+    def on_shutdown(self, now: int) -> Out:
+        """Zero, where the robot moves: after our end nothing stops it."""
+        if self._command is not None:
+            yield from self._published(0.0, 0.0, now)
+
     def _clock_lines(self) -> Out:
         """A line when the clock is doubted, and when it is believed again or differs."""
         doubt, offset = self._clock.doubt, self._clock.offset or 0
