@@ -115,8 +115,9 @@ class RobotInput:
             yield topics.CONTACTS(contacts_of(message.detections, stamp))
 
     def velocity(self, command: Velocity, now: int) -> Out:
-        """The velocity of base_driver, for the robot. Zero while the robot's clock is not believed."""
-        v, w = (command.v, command.w) if self._clock.is_believed else (0.0, 0.0)
+        """The velocity of base_driver, for the robot. Zero where it is old, or the robot's clock is not believed."""
+        is_old = now - command.stamp >= MAX_SILENCE_NS  # it waited while this process was held up
+        v, w = (command.v, command.w) if self._clock.is_believed and not is_old else (0.0, 0.0)
         self._command = command if v or w else None
         yield from self._published(v, w, now)
 
