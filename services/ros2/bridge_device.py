@@ -18,6 +18,7 @@ from services.ros2.config import Ros2Config
 from services.ros2.incoming_topics import (
     CLEAR_SERVICES,
     CMD_VEL,
+    ESTOP,
     INCOMING,
     MAP_SERVICES,
     STATE_SERVICES,
@@ -181,7 +182,7 @@ class BridgeDevice:
             *action_services(config.distro),
         ):
             self._own[config.name(name)] = name
-            self._wire.serve(ros_name(name, type_))
+            self._wire.serve(ros_name(name, type_), is_urgent=name == ESTOP)
         self._wire.discover()
 
     def _ros_name(self, name: str, type_: str) -> RosName:
