@@ -10,10 +10,11 @@ from datetime import timedelta
 
 import pytest
 
-from shared.secure_folder import SecureFolder
+from shared.secure_folder import MemberRole, SecureFolder
 from zenav.foxglove.gate import Gate, GateCredentials
 from zenav.secure import members
 from zenav.secure.authority import Authority, Issued
+from zenav.secure.tokens import issue_token
 
 LIMIT_S = 10.0
 
@@ -91,3 +92,28 @@ def test_the_former_certificate_is_shown_until_the_key_of_the_new_one_is_there(p
                 break
             limit.wait(0.1)
         assert shown(place, port) == new.certificate.decode().strip()
+
+
+@pytest.mark.parametrize("damage", ["a folder in its place", "a member without a date"])
+def test_a_list_of_members_that_cannot_be_read_ends_connections_until_it_can(place, tmp_path, capsys, damage):
+    members.add_member("otto", MemberRole.OPERATOR, str(place.path), tmp_path / "otto.pem", 10)
+    capsys.readouterr()
+    issue_token("otto", str(place.path))
+    token, said, whole = capsys.readouterr().out.strip(), Said(), place.members_file.read_bytes()
+    with gate(place, said) as port:
+        with connected(place, port, token) as connection:
+            said.wait("otto (operator) connected")
+            place.members_file.unlink()
+            if damage == "a folder in its place":
+                place.members_file.mkdir()
+            else:
+                place.members_file.write_bytes(whole.replace(b'"20', b'"the year 20'))
+            assert connection.recv(1) == b""
+        if place.members_file.is_dir():
+            place.members_file.rmdir()
+        place.write(place.members_file, whole)
+        said.lines.clear()
+        with connected(place, port, token) as connection:
+            said.wait("otto (operator) connected")
+            members.revoke_member("otto", str(place.path))
+            assert connection.recv(1) == b""
