@@ -112,12 +112,21 @@ class SecureFolder:
         return self
 
     def members(self) -> list[Member]:
-        """All that were issued, the oldest first; revoked ones too. Raises UserError where the list is damaged."""
+        """All that were issued, the oldest first; revoked ones too.
+
+        Raises UserError where the list is damaged or cannot be read.
+        """
         try:
             rows = json.loads(self.members_file.read_text())
-            return [Member(**{**row, "role": MemberRole(row["role"])}) for row in rows]
+            members = [Member(**{**row, "role": MemberRole(row["role"])}) for row in rows]
+            for member in members:
+                date.fromisoformat(member.until)
+            return members
         except FileNotFoundError:
             return []
+        except OSError as error:
+            hint = "run it as the user of the robot"
+            raise UserError(f"{self.members_file} cannot be read: {error.strerror}", hint) from None
         except (ValueError, TypeError, KeyError, AttributeError):
             raise UserError(f"{self.members_file} is no list of members", "restore it from a backup") from None
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from shared.config import UserError
+from shared.tls_server import load_certificate
 
 if TYPE_CHECKING:
     from cryptography.x509 import Certificate
@@ -30,10 +31,13 @@ class PageCertificate:
         return context
 
     def load_into(self, context: ssl.SSLContext) -> None:
-        """Shows this certificate to new connections. Raises UserError where certificate and key do not fit."""
+        """Shows this certificate to new connections.
+
+        Raises UserError where certificate and key do not fit. The context then shows the former ones.
+        """
         try:
-            context.load_cert_chain(self.certificate, self.key)
-        except (OSError, ssl.SSLError) as error:
+            load_certificate(context, self.certificate, self.key)
+        except OSError as error:  # SSLError is one
             raise UserError(
                 f"{self.certificate} and {self.key}: {error.strerror or error}", "name a certificate and its key"
             ) from None

@@ -168,8 +168,9 @@ class WebDevice:
             self._publish_event({"client": None, "event": "certificate", "until": until})
             await asyncio.sleep(RENEW_EVERY_S)
             with suppress(UserError):  # the present one goes on; the health shows its end
-                certificate = page_address(self._section, self._context.where).certificate or certificate
-                certificate.load_into(self._tls)
+                renewed = page_address(self._section, self._context.where).certificate or certificate
+                renewed.load_into(self._tls)
+                certificate = renewed
 
     def _publish_state(self, is_open: bool, detail: str) -> None:
         if self._state != (is_open, detail):

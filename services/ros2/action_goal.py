@@ -27,7 +27,7 @@ ENDED = (GoalState.SUCCEEDED, GoalState.CANCELED, GoalState.ABORTED)
 
 @dataclass(slots=True)
 class ActionGoal:
-    """A goal. id: 16 bytes, of its client.  begun, ended: ns.  waiting: requests for its result.
+    """A goal. id: 16 bytes, of its client.  begun, accepted, ended: ns.  waiting: requests for its result.
 
     error, reason: why it ended, in words and as a code.  amount: rad or m, of a single motion.  poses: of a route, as
     geometry_msgs/PoseStamped; it begins with the one of number `first`.  waypoint: number of the present one.
@@ -44,6 +44,7 @@ class ActionGoal:
     error: str = ""
     reason: str = ""
     amount: float = 0.0
+    accepted: int = 0
     ended: int = 0
     poses: tuple[Any, ...] = ()
     first: int = 0
@@ -51,6 +52,16 @@ class ActionGoal:
     recovery_cause: str = ""
     behind_since: int | None = None
     canceled: int = 0
+
+    def is_before(self, other: "ActionGoal") -> bool:
+        """Whether the navigator took the other goal after this one, though its reply came first.
+
+        Two goals that wait at once have their replies in any order. A lower number alone may be that of a navigator
+        that was started again.
+        """
+        if self.task_id is None or other.task_id is None:
+            return False
+        return self.begun < other.accepted and self.task_id < other.task_id
 
     def follow(self, status: NavStatus) -> None:
         """Takes the navigator's status while the goal runs. The status of its end has no waypoint."""

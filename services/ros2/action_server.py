@@ -31,6 +31,7 @@ MAX_BEHIND_NS = 2 * NS_PER_S
 """for which the navigator's task may have a lower number than the goal's: then a new navigator counts from 0."""
 CANCEL_PERIOD_NS = NS_PER_S
 NO_ID = bytes(16)
+REPLACED = "replaced by another goal"
 
 
 class CancelCode(IntEnum):
@@ -106,10 +107,15 @@ class ActionServer:
         yield self._goal_reply(goal.action, number, outcome["accepted"], now)
         if not outcome["accepted"]:
             return
-        if self._active is not None:
-            yield from self._end(self._active, GoalState.ABORTED, "replaced by another goal", now)
+        goal.state, goal.task_id, goal.accepted = GoalState.EXECUTING, outcome["data"]["task_id"], now
+        active = self._active
+        if active is not None and goal.is_before(active):
+            self._goals[goal.id] = goal
+            yield from self._end(goal, GoalState.ABORTED, REPLACED, now)
+            return
+        if active is not None:
+            yield from self._end(active, GoalState.ABORTED, REPLACED, now)
         self._forget(now)
-        goal.state, goal.task_id = GoalState.EXECUTING, outcome["data"]["task_id"]
         self._goals[goal.id] = self._active = goal
         yield self._status_order(goal.action, now)
         yield from self._follow(now)

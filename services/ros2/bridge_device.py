@@ -18,6 +18,7 @@ from services.ros2.config import Ros2Config
 from services.ros2.incoming_topics import (
     CLEAR_SERVICES,
     CMD_VEL,
+    ESTOP,
     INCOMING,
     MAP_SERVICES,
     STATE_SERVICES,
@@ -126,14 +127,15 @@ class BridgeDevice:
         while True:
             with self._changed:
                 self._changed.wait_for(self._has_work, min(map(_interval, self._pending), default=LOOK_S))
-                if self._is_closing:
-                    break
-                orders, self._orders = self._orders, []
+                is_closing, orders, self._orders = self._is_closing, self._orders, []
                 events, self._events = self._events, []
                 commanded = self._subscribers.labels
             self._advertise_commands(commanded)
             for order in orders:
-                self._obey(order)
+                if not is_closing or "publish" in order:  # the last velocity of a driven robot is zero
+                    self._obey(order)
+            if is_closing:
+                break
             now = time.monotonic()
             events += self._due_messages(now)
             if now >= look_at:
@@ -180,7 +182,7 @@ class BridgeDevice:
             *action_services(config.distro),
         ):
             self._own[config.name(name)] = name
-            self._wire.serve(ros_name(name, type_))
+            self._wire.serve(ros_name(name, type_), is_urgent=name == ESTOP)
         self._wire.discover()
 
     def _ros_name(self, name: str, type_: str) -> RosName:

@@ -115,8 +115,9 @@ class RobotInput:
             yield topics.CONTACTS(contacts_of(message.detections, stamp))
 
     def velocity(self, command: Velocity, now: int) -> Out:
-        """The velocity of base_driver, for the robot. Zero while the robot's clock is not believed."""
-        v, w = (command.v, command.w) if self._clock.is_believed else (0.0, 0.0)
+        """The velocity of base_driver, for the robot. Zero where it is old, or the robot's clock is not believed."""
+        is_old = now - command.stamp >= MAX_SILENCE_NS  # it waited while this process was held up
+        v, w = (command.v, command.w) if self._clock.is_believed and not is_old else (0.0, 0.0)
         self._command = command if v or w else None
         yield from self._published(v, w, now)
 
@@ -132,6 +133,11 @@ class RobotInput:
         yield from self._clock_lines()
         if self._command is not None and not 0 <= now - self._command.stamp < MAX_SILENCE_NS:
             self._command = None
+            yield from self._published(0.0, 0.0, now)
+
+    def on_shutdown(self, now: int) -> Out:
+        """Zero, where the robot moves: after our end nothing stops it."""
+        if self._command is not None:
             yield from self._published(0.0, 0.0, now)
 
     def _clock_lines(self) -> Out:

@@ -145,8 +145,10 @@ class Ros2Service(Service):
             yield from self._loaded.robot.tick(self.now)
 
     def on_shutdown(self) -> Out:
-        """A robot that ROS drives stands."""
+        """A robot that ROS drives stands, and a robot with ROS 2 that is driven, too."""
         yield from self._let_go()
+        if self._loaded is not None:
+            yield from self._loaded.robot.on_shutdown(self.now)
 
     # --- events -------------------------------------------------------------------------------------------------------
 

@@ -50,9 +50,12 @@ class ServiceCalls:
         if name in (incoming.ESTOP, incoming.RELEASE):
             if name == incoming.RELEASE:
                 self._types.decode(data, f"{TRIGGER}_Request")
+            is_pressed, what = name == incoming.ESTOP, "STOP" if name == incoming.ESTOP else "release of STOP"
+            if self.stop_button.order is not None and self.stop_button.order.pressed != is_pressed:
+                yield from self._reply_stops(False, f"replaced by {what}", now)
             self._waiting.append(number)
-            yield topics.ESTOP(self.stop_button.set(name == incoming.ESTOP, BY, now))
-            yield Log("INFO", f"audit: {'STOP' if name == incoming.ESTOP else 'release of STOP'} by {BY}")
+            yield topics.ESTOP(self.stop_button.set(is_pressed, BY, now))
+            yield Log("INFO", f"audit: {what} by {BY}")
         elif name in STATES:
             yield reply_order(now, number, self._active_state(name))
         elif name in (incoming.SAVE, incoming.LOAD):

@@ -30,7 +30,8 @@ from shared.config import UserError
 OPEN_LIMIT_MS = 1000
 RETRY = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2}
 HEARTBEAT_S = 0.5  # rmw_zenoh's SAMPLE_MISS_DETECTION_HEARTBEAT_PERIOD
-MAX_QUERIES = 64  # requests that wait for a reply
+MAX_QUERIES, MAX_OF_SERVICE = 64, 16  # requests that wait for a reply: of all services, and of one
+"""A client may ask for a result that comes after hours again and again. STOP has its own places beside MAX_QUERIES."""
 MAX_BYTES = 2**20  # of an incoming message or request
 SERVICE_QOS = Qos(depth=10)  # rmw_qos_profile_services_default
 
@@ -79,6 +80,7 @@ class RosWire:
         self._declared: list[Any] = []
         self._publishers: dict[str, _Publisher] = {}
         self._services: dict[str, str] = {}  # key by name
+        self._urgent: set[str] = set()
         self._queries: dict[int, tuple[str, zenoh.Query, Attachment]] = {}
         self._n_queries = 0
         self._lock = threading.Lock()
@@ -146,8 +148,10 @@ class RosWire:
         for topic in topics:
             self._declared += self._declare_token(Entity.SUBSCRIPTION, topic, qos)[1]
 
-    def serve(self, service: RosName) -> None:
-        """Declares a service."""
+    def serve(self, service: RosName, is_urgent: bool = False) -> None:
+        """Declares a service. is_urgent: requests of other services never fill its places."""
+        if is_urgent:
+            self._urgent.add(service.name)
         key = self._services[service.name] = self._format.key(service)
         answer = partial(self._ask, service.name)
         self._declared.append(self._session.declare_queryable(key, answer, complete=True))
@@ -206,13 +210,16 @@ class RosWire:
             query.drop()  # type: ignore[no-untyped-call]  # zenoh's own
             return
         with self._lock:
-            is_full = len(self._queries) >= MAX_QUERIES
+            n_own = sum(waiting == name for waiting, _, _ in self._queries.values())
+            is_full = n_own >= MAX_OF_SERVICE or (len(self._queries) >= MAX_QUERIES and name not in self._urgent)
             if not is_full:
                 self._n_queries += 1
                 number = self._n_queries
                 self._queries[number] = name, query, found
         if is_full:
-            self._events.rejected(name, f"over {MAX_QUERIES} requests wait for a reply")
+            self._events.rejected(
+                name, f"over {MAX_OF_SERVICE} of its requests, or {MAX_QUERIES} in all, wait for a reply"
+            )
             query.drop()  # type: ignore[no-untyped-call]  # zenoh's own
         else:
             self._events.request(name, number, payload.to_bytes())

@@ -19,6 +19,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from shared.config import UserError
 from shared.secure_folder import Member, MemberRole, SecureFolder
+from shared.tls_server import load_certificate
 from zenav.secure.tokens import token_member
 
 HEAD_LIMIT_S = 10.0  # from the connection to the whole head
@@ -48,20 +49,20 @@ class GateCredentials:
         return context
 
     def load(self, context: ssl.SSLContext) -> None:
-        """Takes the certificate for new connections. Raises UserError where it cannot be used."""
+        """Takes the certificate for new connections. Raises UserError where it cannot be used; the former one holds."""
         try:
-            context.load_cert_chain(self.certificate, self.key)
+            load_certificate(context, self.certificate, self.key)
         except OSError as error:  # also SSLError
             why = error.strerror if error.filename or not isinstance(error, ssl.SSLError) else error.reason
             raise UserError(
                 f"{self.certificate} with {self.key}: {why}", "give a certificate and its key as PEM: --cert, --key"
             ) from None
 
-    def version(self) -> int:
-        """Changes with the certificate."""
+    def version(self) -> tuple[int, ...]:
+        """Changes with the certificate and with its key."""
         with suppress(OSError):
-            return self.certificate.stat().st_mtime_ns
-        return 0
+            return tuple(file.stat().st_mtime_ns for file in (self.certificate, self.key))
+        return ()
 
 
 def token_in(target: str) -> str:

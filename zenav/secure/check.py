@@ -66,7 +66,7 @@ def check_access(at: str, robot: str, stack: str, folder: str, as_json: bool) ->
     robot_name = configured(robot, []).robot.name
     local = transport.stack_address(stack)
     rows: list[AccessRow] = []
-    with _check_members(place, robot_name) as members, transport.opened(local) as on_robot:
+    with check_members(place, robot_name) as members, transport.opened(local) as on_robot:
         watcher = _Watcher(on_robot, robot_name)
         _wait_for_gateway(at, watcher, members["admin"])
         rows += list(_connections(at, place, members["viewer"]))
@@ -81,20 +81,27 @@ def check_access(at: str, robot: str, stack: str, folder: str, as_json: bool) ->
 
 
 @contextmanager
-def _check_members(place: SecureFolder, robot: str) -> Iterator[dict[str, Credentials]]:
-    """Credentials by name: of each role, and of a revoked operator. The gateway starts again before and after."""
+def check_members(place: SecureFolder, robot: str) -> Iterator[dict[str, Credentials]]:
+    """Credentials by name: of each role, and of a revoked operator. The gateway starts again before and after.
+
+    What others change of the list meanwhile holds.
+    """
     authority, until, number = Authority(place), today() + timedelta(days=1), secrets.token_hex(4)
     rows = [Member(f"{PREFIX}{role}", role, f"{PREFIX}{role}.{number}", until.isoformat()) for role in ROLES]
     gone = Member(f"{PREFIX}revoked", MemberRole.OPERATOR, f"{PREFIX}revoked.{number}", until.isoformat(), revoked=True)
-    kept = [row for row in place.members() if not row.name.startswith(PREFIX)]
-    place.write_members([*kept, *rows, gone])
+    place.write_members([*_own_members(place), *rows, gone])
     try:
         yield {
             row.name.removeprefix(PREFIX): authority.credentials(row.name, str(row.role), robot, row.common_name, until)
             for row in (*rows, gone)
         }
     finally:
-        place.write_members(kept)
+        place.write_members(_own_members(place))
+
+
+def _own_members(place: SecureFolder) -> list[Member]:
+    """The members but for those of a check, as they are now."""
+    return [row for row in place.members() if not row.name.startswith(PREFIX)]
 
 
 def _wait_for_gateway(at: str, watcher: "_Watcher", credentials: Credentials) -> None:

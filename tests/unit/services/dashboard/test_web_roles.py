@@ -2,20 +2,22 @@
 """The page for other computers, over real HTTPS: what each role may do, what is recorded of it, and the certificate."""
 
 import ssl
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from services.dashboard.address import page_address
-from services.dashboard.certificate import read_certificate
+from services.dashboard.certificate import PageCertificate, read_certificate
 from services.dashboard.config import DashboardConfig
 from shared.config import UserError
 from shared.messages import Velocity
 from shared.roles import FRAME_ROLES, OPERATION_ROLES, REQUEST_ROLES, ROUTE_ROLES, Role, may
 from shared.runners.transport import StackAddress
+from shared.secure_folder import SecureFolder
 from tests.unit.services.dashboard.browser import SOON, Served
-from tests.unit.services.dashboard.credentials import REMOTE, make_credentials
+from tests.unit.services.dashboard.credentials import REMOTE, certificate_and_key, make_credentials
 from tests.unit.services.dashboard.remote import RemoteComputer, invitation, logged_in, serving_remote
 
 
@@ -125,6 +127,30 @@ def test_a_certificate_that_was_renewed_is_shown_without_a_restart(monkeypatch, 
             page.until(lambda: "ends" not in served.core.state())
         shown = ssl.get_server_certificate((REMOTE, served.port), timeout=SOON)
     assert shown.strip() == (tmp_path / "robot.pem").read_text().strip()
+
+
+def test_half_of_a_renewed_certificate_leaves_the_present_one_in_use(monkeypatch, tmp_path):
+    tries = threading.Event()
+    load = PageCertificate.load_into
+
+    def load_again(certificate, context):
+        try:
+            load(certificate, context)
+        except UserError:
+            tries.set()
+            raise
+
+    monkeypatch.setattr("services.dashboard.web.RENEW_EVERY_S", 0.05)
+    monkeypatch.setattr(PageCertificate, "load_into", load_again)
+    with serving_remote(monkeypatch, tmp_path, 365.0) as served:
+        logged_in(served, Role.VIEWER)
+        before = (tmp_path / "robot.pem").read_text()
+        folder, (certificate, _) = SecureFolder(tmp_path), certificate_and_key(20.5)
+        folder.write(folder.robot_certificate, certificate)  # its key is not there yet
+        assert tries.wait(SOON)
+        shown = ssl.get_server_certificate((REMOTE, served.port), timeout=SOON)
+        assert "ends" not in served.core.state()
+    assert shown.strip() == before.strip()
 
 
 @pytest.mark.parametrize(

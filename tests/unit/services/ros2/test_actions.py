@@ -154,6 +154,26 @@ def test_a_new_goal_ends_the_former_one():
     assert bytes(core.types.decode(feedback["data"], f"{TYPE}_FeedbackMessage").goal_id.uuid) == OTHER
 
 
+def test_of_two_goals_at_once_the_navigators_later_one_runs_in_whatever_order_its_replies_come():
+    core = Core()
+    fields = {"pose": core.pose(Pose2()), "behavior_tree": ""}
+    [first], [second] = (core.send_goal(TO_POSE, TYPE, i, goal, **fields) for i, goal in enumerate((GOAL, OTHER)))
+    core.outcome(second, task_id=8)
+    _, status = core.outcome(first, task_id=7)
+    assert states(core, [status]) == [GoalState.EXECUTING, GoalState.ABORTED]
+    [feedback] = core.status(NavState.NAVIGATING, task_id=8)
+    assert bytes(core.types.decode(feedback["data"], f"{TYPE}_FeedbackMessage").goal_id.uuid) == OTHER
+    reply, *_ = core.cancel(TO_POSE, 5)
+    assert len(core.response(reply, "action_msgs/srv/CancelGoal").goals_canceling) == 1
+
+
+def test_a_goal_of_a_navigator_that_counts_from_0_again_replaces_the_former_one():
+    core = Core()
+    sent(core)
+    orders = sent(core, 2, OTHER, task_id=1)
+    assert states(core, orders) == [GoalState.ABORTED, GoalState.EXECUTING]
+
+
 def test_the_status_of_an_earlier_task_is_not_the_goals():
     core = Core()
     core.status(NavState.REACHED, task_id=6)

@@ -49,7 +49,7 @@ class RosRobot:
         self.node, self.x, self._v = node, 0.0, 0.0
         self.make = RosMessages(node.types.types, RosFrames())
         self._declared = node.subscribe("/cmd_vel", command_type, self._obey)
-        self._ending = threading.Event()
+        self._ending, self.stands = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
 
@@ -59,6 +59,7 @@ class RosRobot:
 
     def _obey(self, message: Any) -> None:
         self._v = getattr(message, "twist", message).linear.x
+        (self.stands.clear if self._v else self.stands.set)()
 
     def _run(self) -> None:
         while not self._ending.wait(PERIOD_S):
@@ -90,6 +91,26 @@ def test_a_robot_with_ros_drives_to_a_place_and_stands(bridge, distro, command_t
             assert robot.x == pytest.approx(poses[-1])
             assert {BaseOdometry, LaserScan} <= kinds
             assert not [event for event in core.events if event["event"] == "rejected" and "type" in event["text"]]
+        finally:
+            robot.close()
+
+
+@pytest.mark.parametrize("bridge", ["rmw_zenoh", "dds"])
+def test_a_robot_with_ros_that_moves_when_the_bridge_ends_gets_zero(bridge):
+    moves = threading.Event()
+
+    def drive(core: WiredCore, message: Message) -> None:
+        if isinstance(message, BaseOdometry):
+            core.command(SPEED)
+            if message.v > 0:
+                moves.set()
+
+    with wired(bridge, Distro.JAZZY, drive, drives=True) as (core, node):
+        robot = RosRobot(node, TWIST)
+        try:
+            assert moves.wait(LIMIT_S)
+            core.end()
+            assert robot.stands.wait(LIMIT_S)
         finally:
             robot.close()
 

@@ -247,6 +247,25 @@ def test_a_silent_base_driver_is_zero_once(core):
     assert core.tick(0.5) == []
 
 
+def test_a_velocity_that_waited_is_zero(core):
+    now = core.service.now
+    data = commands(core.take(core.service.velocity(Velocity(now - 250_000_000, 0.2, 0.1, ""))))
+    twist = core.types.decode(data[COMMAND], "geometry_msgs/msg/Twist")
+    assert (twist.linear.x, twist.angular.z) == (0.0, 0.0)
+    data = commands(core.take(core.service.velocity(Velocity(now - 150_000_000, 0.2, 0.1, ""))))
+    assert core.types.decode(data[COMMAND], "geometry_msgs/msg/Twist").linear.x == 0.2
+
+
+def test_the_end_of_the_bridge_is_zero_for_a_robot_that_moves_and_nothing_for_one_that_stands(core):
+    velocity(core, 0.2, 0.1)
+    data = commands(core.take(core.service.on_shutdown()))
+    twist = core.types.decode(data[COMMAND], "geometry_msgs/msg/Twist")
+    assert (twist.linear.x, twist.angular.z) == (0.0, 0.0)
+    assert STAMPED_COMMAND in data
+    velocity(core, 0.0, 0.0)
+    assert core.take(core.service.on_shutdown()) == []
+
+
 def test_a_bridge_that_drives_no_robot_of_ros_publishes_no_velocity():
     assert velocity(Core(), 0.2, 0.0) == []
 

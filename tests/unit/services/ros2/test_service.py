@@ -159,6 +159,19 @@ def test_stop_that_no_guard_confirms_is_replied_to_as_failed():
     assert "switch the robot off" in response.message
 
 
+@pytest.mark.parametrize(
+    ("first", "second", "state"),
+    [("/estop", "/estop_release", GuardState.IDLE), ("/estop_release", "/estop", GuardState.STOPPED)],
+)
+def test_stop_that_its_release_replaces_and_a_release_that_stop_replaces_fail(first, second, state):
+    core = Core()
+    core.request(first, 1, core.trigger())
+    replies = [order for order in core.request(second, 2, core.trigger()) if isinstance(order, dict)]
+    replies += core.take(core.service.guard_status(GuardStatus(core.service.now, state, "", "", "", 0.0)))
+    answers = {order["reply"]: core.response(order, "std_srvs/srv/Trigger").success for order in replies}
+    assert answers == {1: False, 2: True}
+
+
 def test_stop_counts_whatever_its_bytes_are():
     [stop] = Core().event(event="request", name="/estop", id=1, data=b"")
     assert stop.pressed

@@ -9,10 +9,12 @@ import pytest
 import zenoh
 from zenoh.ext import HistoryConfig, declare_advanced_subscriber
 
+from services.ros2.action_topics import actions_of
 from services.ros2.bridge_device import zenoh_endpoint
 from services.ros2.outgoing_markers import MARKERS
 from services.ros2.outgoing_topics import OUTGOING
 from services.ros2.rmw_names import ATTACHMENT, Entity, Qos, RosName, RosNode, attachment, attachment_of, endpoint_of
+from services.ros2.ros_types import Distro
 from shared import requests, sample_messages, topics
 from shared.codec import Envelope, encode
 from shared.config import UserError, load_robot
@@ -240,6 +242,27 @@ def test_a_flood_reaches_the_core_thinned_and_the_rest_is_counted(bridge, peer):
 
     bridge.wait(lambda: total() == n)
     assert sum(row["event"] == "message" for row in bridge.events) < n / 2
+
+
+def test_stop_is_taken_however_many_requests_of_other_services_wait():
+    with bridged() as (bridge, _, peer):
+
+        def ask(name, type_):
+            return peer.session.get(peer.key(name, type_), payload=b"\0\1\0\0\0", attachment=attachment(1, 5, GID))
+
+        def n_of(kind, name):
+            rows = [event for event in bridge.events if event["event"] == kind and event["name"] == name]
+            return sum(row.get("n", 1) for row in rows)
+
+        names = [(action.part("get_result"), f"{action.type}_GetResult") for action in actions_of(Distro.JAZZY)]
+        waiting = [ask(*names[0]) for _ in range(65)]
+        bridge.wait(lambda: n_of("request", names[0][0]) + n_of("rejected", names[0][0]) == 65)
+        waiting += [ask("/cancel", "std_srvs/srv/Trigger")]
+        bridge.wait(lambda: n_of("request", "/cancel") == 1)
+        waiting += [ask(*name) for name in names[1:] for _ in range(20)]
+        bridge.wait(lambda: n_of("rejected", names[-1][0]) == 20)
+        waiting += [ask("/estop", "std_srvs/srv/Trigger")]
+        bridge.wait(lambda: n_of("request", "/estop") == 1)
 
 
 def test_a_request_to_the_stack_without_a_service_is_a_refusal(bridge):

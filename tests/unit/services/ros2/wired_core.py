@@ -34,12 +34,19 @@ class WiredCore(Bridge):
         self.service = Ros2Service(self.config, load_robot(ROBOT).robot)
         self.service.name = "ros2"
         self.asked: list[str] = []
-        self._hear, self._core = hear, threading.RLock()
+        self._hear, self._core, self._is_ended = hear, threading.RLock(), False
 
     def command(self, v: float, w: float = 0.0) -> None:
         """A velocity of base_driver."""
         with self._core:
             self._pass_on(self.service.velocity(Velocity(self.service.now, v, w, "")))
+
+    def end(self) -> None:
+        """The bridge's end, as its runner brings it about."""
+        with self._core:
+            self._pass_on(self.service.on_shutdown())
+            self._is_ended = True
+        self.device.close()
 
     def status(self, state: NavState, left: float = 0.0) -> None:
         """A status of the navigator about the task that it accepted."""
@@ -51,6 +58,8 @@ class WiredCore(Bridge):
     def _take(self, publication: Publication) -> None:
         super()._take(publication)
         with self._core:
+            if self._is_ended:
+                return
             self.service.now = time.time_ns()
             message = publication.message
             if isinstance(message, PortState):

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """`zenav secure check`: what is open against the rules shows, what could not be seen is not called wrong."""
 
-from zenav.secure.check import NO, NO_SERVICE, YES, AccessRow, show_rows
+from shared.secure_folder import MemberRole, SecureFolder
+from zenav.secure import members
+from zenav.secure.check import NO, NO_SERVICE, YES, AccessRow, check_members, show_rows
 
 RIGHT = AccessRow("publish cmd/teleop", "operator", YES, YES)
 OPEN = AccessRow("publish cmd/vel", "operator", YES, NO)
@@ -28,3 +30,15 @@ def test_the_table_marks_what_is_wrong(capsys):
     assert told.count("WRONG") == 2
     assert "publish odom" not in told, "what is closed to all is a number"
     assert "1 topics were refused to all; 2 of 7 checks are wrong" in told
+
+
+def test_a_member_that_is_revoked_or_added_during_a_check_stays_so(tmp_path):
+    folder = str(tmp_path / "secure")
+    members.init_folder("x80sv", folder, [])
+    members.add_member("anna", MemberRole.OPERATOR, folder, tmp_path / "anna.pem", 10)
+    place = SecureFolder(tmp_path / "secure")
+    with check_members(place, "x80sv"):
+        assert len(place.members()) == 5
+        members.revoke_member("anna", folder)
+        members.add_member("vera", MemberRole.VIEWER, folder, tmp_path / "vera.pem", 10)
+    assert [(row.name, row.revoked) for row in place.members()] == [("anna", True), ("vera", False)]
