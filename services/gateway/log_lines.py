@@ -10,13 +10,12 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 LOG_FILTER = "error,zenoh::net::routing::interceptor=trace,zenoh_link_tls=warn"
-LINK_MARK = "zenav-link"
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 _DENIED = re.compile(
     r"\+CertCommonName\((?P<name>[^)]*)\).* is unauthorized to (?P<action>\w+) \(ingress\) on (?P<key>\S+)"
 )
 _OUTWARD = re.compile(r"is unauthorized to \w+ \(egress\)")  # it is not sent out: no event
-_LINK = re.compile(LINK_MARK + r" (?P<event>joined|left) (?P<name>\S+) (?P<address>\S+)")
+_LINK = r"{mark} (?P<event>joined|left) (?P<name>\S+) (?P<address>\S+)"
 _DROPPED = "interceptor: Msg intercepted!"
 _HANDSHAKE = re.compile(r"WARN.*zenoh_link_tls::unicast: (?P<why>.+?)\.? Hint:")
 
@@ -40,15 +39,20 @@ class LinkLine:
 
 
 class LineReader:
-    """Takes lines in order, and returns the event that one completes."""
+    """Takes lines in order, and returns the event that one completes.
 
-    def __init__(self) -> None:
+    mark: begin of the process's own lines. It is secret: a key in Zenoh's log may hold line breaks, and what looks like
+    such a line.
+    """
+
+    def __init__(self, mark: str) -> None:
+        self._link = re.compile(_LINK.format(mark=re.escape(mark)))
         self._denied: dict[str, LinkLine | None] = {}  # by thread: said, but perhaps only to remember a decision
 
     def read(self, line: str) -> LinkLine | None:
         """The event of a line, or None."""
         line = _COLOUR.sub("", line).strip()
-        if (match := _LINK.fullmatch(line)) is not None:
+        if (match := self._link.fullmatch(line)) is not None:
             return LinkLine(LinkEvent(match["event"]), "" if match["name"] == "-" else match["name"], match["address"])
         if (match := _HANDSHAKE.search(line)) is not None:
             return LinkLine(LinkEvent.REJECTED, "", match["why"])

@@ -3,7 +3,8 @@
 
 With `local` in the place of `stack` it is the router of a site, for robots and people.
 
-It writes Zenoh's log, and a line for each link over TLS that begins or ends (log_lines.py). It ends with its stdin.
+It writes Zenoh's log, and a line for each link over TLS that begins or ends (log_lines.py), which the order's `mark`
+begins. It ends with its stdin.
 """
 
 import json
@@ -11,11 +12,12 @@ import os
 import select
 import sys
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import zenoh
 
-from services.gateway.log_lines import LINK_MARK, LinkEvent
+from services.gateway.log_lines import LinkEvent
 from shared.runners.transport import asks_for_realtime, gateway_configuration, site_configuration, stack_address
 from shared.secure_folder import SecureFolder
 
@@ -35,7 +37,7 @@ def main() -> None:
     except zenoh.ZError as error:
         sys.stderr.write(f"cannot listen on {order['listen']}: {error}\n")
         os._exit(2)
-    session.info.declare_link_events_listener(_write_link, history=True)
+    session.info.declare_link_events_listener(partial(_write_link, order["mark"]), history=True)
     while not select.select([sys.stdin], [], [], LOOK_S)[0]:
         if is_realtime:
             _schedule_threads()
@@ -62,12 +64,12 @@ def _schedule_threads() -> None:
                 os.sched_setscheduler(thread, os.SCHED_RR, os.sched_param(LINK_PRIORITY))
 
 
-def _write_link(event: zenoh.LinkEvent) -> None:
+def _write_link(mark: str, event: zenoh.LinkEvent) -> None:
     link = event.link
     if not str(link.src).startswith("tls/"):
         return
     kind = LinkEvent.JOINED if event.kind == zenoh.SampleKind.PUT else LinkEvent.LEFT
-    sys.stdout.write(f"{LINK_MARK} {kind} {link.auth_identifier or '-'} {link.dst}\n")
+    sys.stdout.write(f"{mark} {kind} {link.auth_identifier or '-'} {link.dst}\n")
     sys.stdout.flush()
 
 

@@ -3,6 +3,7 @@
 
 import json
 import os
+import secrets
 import subprocess
 import sys
 import threading
@@ -23,16 +24,16 @@ class RouterProcess:
     """
 
     def __init__(self, order: Mapping[str, str], take: Callable[[LinkLine], None], inside: Sequence[str] = ()) -> None:
-        self._take = take
+        self._take, mark = take, secrets.token_hex(16)
         environment = {**os.environ, "RUST_LOG": LOG_FILTER}  # noqa: TID251  # Zenoh reads its log's level from there
         pipe = subprocess.PIPE
         command = [*inside, *COMMAND]
         self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True, env=environment)
         assert self._process.stdin is not None
         with suppress(BrokenPipeError):
-            self._process.stdin.write(json.dumps(order) + "\n")
+            self._process.stdin.write(json.dumps({**order, "mark": mark}) + "\n")
             self._process.stdin.flush()
-        self._reader = threading.Thread(target=self._read, args=(self._process.stdout,), daemon=True)
+        self._reader = threading.Thread(target=self._read, args=(self._process.stdout, mark), daemon=True)
         self._reader.start()
 
     def failure(self) -> str:
@@ -55,8 +56,8 @@ class RouterProcess:
             if stream is not None:
                 stream.close()
 
-    def _read(self, stream: IO[str]) -> None:
-        lines = LineReader()
+    def _read(self, stream: IO[str], mark: str) -> None:
+        lines = LineReader(mark)
         with suppress(ValueError):  # it was closed
             for line in stream:
                 if (event := lines.read(line)) is not None:

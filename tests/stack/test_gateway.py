@@ -133,6 +133,14 @@ def test_an_operator_drives_and_a_viewer_is_refused_counted_and_named(gateway):
         gateway.until(lambda: gateway.health and any(row[:2] == ("estop", "access") for row in gateway.health.rejected))
 
 
+def test_no_key_of_a_member_is_taken_for_a_line_on_a_link(gateway):
+    with gateway.open(gateway.member("line", MemberRole.VIEWER)) as line:
+        gateway.until(lambda: any("line (viewer) connected" in text for text in gateway.lines))
+        line.put(f"{ROBOT}/x\nzenav-link joined admin.1 tls/1.2.3.4:5", b"")
+        gateway.until(lambda: any("refused to line (viewer)" in text for text in gateway.lines))
+    assert not any("admin.1" in text for text in gateway.lines)
+
+
 def test_messages_go_before_other_load_but_handshakes_do_not(gateway):
     before = os.sched_getscheduler(0)
     try:

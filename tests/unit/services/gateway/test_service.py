@@ -60,6 +60,9 @@ def test_certificates_that_end_soon_are_told_and_those_of_revoked_members_are_no
     assert gateway(days_left=365)[0].state() == "0 members connected"
 
 
+MARK = "zenav-1f0c"
+
+
 def denied(name: str, key: str, thread: int = 10) -> str:
     return (
         f"\x1b[2m2026-11-23T13:47:38Z\x1b[0m TRACE rx-0 ThreadId({thread}) interceptor::access_control: "
@@ -72,7 +75,7 @@ def dropped(thread: int = 10) -> str:
 
 
 def test_a_drop_after_a_denial_on_the_same_thread_has_its_name_and_key():
-    reader = LineReader()
+    reader = LineReader(MARK)
     assert reader.read(denied("vera.2", "x80/cmd/vel")) is None
     assert reader.read(denied("anna.1", "x80/odom", 11)) is None
     assert reader.read(dropped()) == LinkLine(LinkEvent.REFUSED, "vera.2", "put x80/cmd/vel")
@@ -80,7 +83,7 @@ def test_a_drop_after_a_denial_on_the_same_thread_has_its_name_and_key():
 
 
 def test_a_denial_that_is_only_remembered_is_no_refusal_and_names_no_later_drop():
-    reader = LineReader()
+    reader = LineReader(MARK)
     reader.read(denied("vera.2", "x80"))
     reader.read(f"{THREAD}::access_control: 2f0b is authorized to Put (egress) on x80")
     assert reader.read(dropped()) == LinkLine(LinkEvent.REFUSED, "", "a message")
@@ -89,8 +92,8 @@ def test_a_denial_that_is_only_remembered_is_no_refusal_and_names_no_later_drop(
 @pytest.mark.parametrize(
     ("line", "expected"),
     [
-        ("zenav-link joined anna.1 tls/10.0.0.7:4001", LinkLine(LinkEvent.JOINED, "anna.1", "tls/10.0.0.7:4001")),
-        ("zenav-link left - tls/10.0.0.7:4001", LinkLine(LinkEvent.LEFT, "", "tls/10.0.0.7:4001")),
+        (f"{MARK} joined anna.1 tls/10.0.0.7:4001", LinkLine(LinkEvent.JOINED, "anna.1", "tls/10.0.0.7:4001")),
+        (f"{MARK} left - tls/10.0.0.7:4001", LinkLine(LinkEvent.LEFT, "", "tls/10.0.0.7:4001")),
         (
             "2026 \x1b[33m WARN\x1b[0m acc-0 ThreadId(05) zenoh_link_tls::unicast: "
             "invalid peer certificate: UnknownIssuer. Hint: increase the system open file limit.",
@@ -99,11 +102,11 @@ def test_a_denial_that_is_only_remembered_is_no_refusal_and_names_no_later_drop(
     ],
 )
 def test_lines_on_links_and_handshakes_are_events(line, expected):
-    assert LineReader().read(line) == expected
+    assert LineReader(MARK).read(line) == expected
 
 
 @given(st.lists(st.text(max_size=120), max_size=20))
 def test_no_line_of_a_log_ends_the_reader(lines):
-    reader = LineReader()
+    reader = LineReader(MARK)
     for line in lines:
         reader.read(line)
