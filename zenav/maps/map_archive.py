@@ -13,6 +13,7 @@ import zipfile
 import zlib
 from lzma import LZMAError
 from pathlib import Path, PurePosixPath, PureWindowsPath
+from zipfile import BadZipFile
 
 from shared.config import UserError, load_yaml
 
@@ -27,7 +28,7 @@ def unpack_map_archive(content: bytes, folder: Path) -> Path:
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             return _unpack_map(archive, folder)
-    except (zipfile.BadZipFile, zlib.error, LZMAError, NotImplementedError, RuntimeError, EOFError, ValueError) as error:
+    except (BadZipFile, zlib.error, LZMAError, NotImplementedError, RuntimeError, EOFError, ValueError) as error:
         raise UserError(f"this is no zip file of a map: {error}", "zip the YAML and its picture") from None
     except OSError as error:  # bz2 raises it on damage too
         raise UserError(f"cannot unpack the map: {error.strerror or error}", "zip it again; check the disk") from None
