@@ -159,6 +159,11 @@ def test_cat_writes_the_fields_of_the_messages_that_are_asked_for(run, capsys):
     }  # fmt: skip
 
 
+def test_an_end_at_infinity_is_the_end_of_the_recording(run, capsys):
+    assert _status(["recording", "cat", str(run), "odom", "--end", "inf"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == sum(key == "odom" for key, *_ in rows(run))
+
+
 def test_cat_counts_and_matches_patterns(run, capsys):
     assert _status(["recording", "cat", str(run), "journal/*", "-n", "3"]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
@@ -201,6 +206,8 @@ def test_cat_writes_what_is_attached(run, capfdbinary):
         (["trim", "{}", "--out", "{}.zip"], "is no name for a recording"),
         (["merge", "{}", "--out", "b.mcap"], "two recordings or more"),
         (["info", "no.mcap"], "cannot read"),
+        (["trim", "no.mcap", "--out", "{}"], "cannot read"),
+        (["merge", "no.mcap", "none.mcap", "--out", "{}"], "cannot read"),
         (["mark", "no.mcap"], "cannot read"),
     ],
 )
