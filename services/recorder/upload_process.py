@@ -112,8 +112,10 @@ class UploadProcess:
         *lines, self._rest = self._rest.split(b"\n")
         for line in lines:
             try:
-                report: dict[str, Any] = json.loads(line)
-            except ValueError:  # of a library that writes to stdout
+                report: Any = json.loads(line)
+            except ValueError:
+                report = None
+            if not isinstance(report, dict):  # of a library that writes to stdout
                 continue
             self.text = report.get("state", self.text)
             if "log" in report:

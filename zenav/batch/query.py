@@ -8,6 +8,7 @@ where a text contains the value.
 """
 
 import re
+from datetime import datetime
 from typing import Any
 
 from shared.config import UserError, nearest
@@ -84,6 +85,8 @@ def _is_set(column: str) -> str:
         return f"coalesce({column}, false)"
     if type_.endswith("[]"):
         return f"coalesce(len({column}), 0) > 0"
+    if type_ == "TIMESTAMP":
+        return f"{column} IS NOT NULL"
     return f"coalesce({column}, '') <> ''" if type_ == "VARCHAR" else f"coalesce({column}, 0) <> 0"
 
 
@@ -98,7 +101,8 @@ def _comparison(column: str, operator: str, text: str) -> Condition:
         return f"contains(lower(CAST({column} AS VARCHAR)), lower(?))", [value]
     if type_ == "VARCHAR":
         return f"{column} {operator} ?", [value]
-    return f"{column} {operator} TRY_CAST(? AS {type_})", [_checked(column, type_, value)]
+    as_type = "DOUBLE" if type_ == "BIGINT" else type_  # a value such as 0.5 would be rounded
+    return f"{column} {operator} TRY_CAST(? AS {as_type})", [_checked(column, type_, value)]
 
 
 def _checked(column: str, type_: str, value: str) -> str:
@@ -108,6 +112,17 @@ def _checked(column: str, type_: str, value: str) -> str:
         raise UserError(f"{value!r} is no number for {column}", f"write {column}>60")
     if type_ == "BOOLEAN" and value not in ("true", "false"):
         raise UserError(f"{value!r} is not true or false", f"write {column}, or not {column}")
-    if type_ == "TIMESTAMP" and not re.fullmatch(r"\d{4}-\d\d-\d\d([T ]\d\d:\d\d(:\d\d)?)?", value):
+    if type_ == "TIMESTAMP" and not _is_time(value):
         raise UserError(f"{value!r} is no time", f"write {column}>2026-11-01 or {column}>'2026-11-01 10:30'; UTC")
     return value
+
+
+def _is_time(value: str) -> bool:
+    """Whether it is a date or a time that the calendar has."""
+    if not re.fullmatch(r"\d{4}-\d\d-\d\d([T ]\d\d:\d\d(:\d\d)?)?", value):
+        return False
+    try:
+        datetime.fromisoformat(value)
+    except ValueError:
+        return False
+    return True

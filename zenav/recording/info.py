@@ -189,7 +189,8 @@ def _between(times: Int64s, min_gap: float) -> list[tuple[int, int]]:
 def _name(recording: Recording, rows: dict[str, TopicInfo]) -> None:
     """Types, and what this version makes of them."""
     for source in recording.sources.values():
-        row, name = rows[source.recorded.key], source.recorded.schema_name
+        key, name = source.recorded.key, source.recorded.schema_name
+        row = rows.setdefault(key, TopicInfo(key, ""))  # of a file that was cut off: perhaps without a message
         row.type = name.rpartition("-")[0] or name
         if name in MIGRATIONS:
             row.note = "old: migrated when it is read"

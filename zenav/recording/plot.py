@@ -133,7 +133,8 @@ def braille_lines(rows: list[PlotSeries], width: int) -> list[str]:
     times = np.concatenate([row.times for row in rows])
     values = np.concatenate([row.values for row in rows])
     t0, t1 = float(times.min()), max(float(times.max()), float(times.min()) + 1e-9)
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    finite = values[np.isfinite(values)]  # a range without an echo may be infinite
+    low, high = float(finite.min()), float(finite.max())
     if high - low < 1e-12:
         low, high = low - 0.5, high + 0.5
     dots = np.zeros((HEIGHT, width), np.uint8)

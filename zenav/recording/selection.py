@@ -4,6 +4,7 @@
 from collections.abc import Sequence
 from contextlib import suppress
 from fnmatch import fnmatchcase
+from math import inf
 from pathlib import Path
 
 from shared.config import UserError, nearest
@@ -53,7 +54,7 @@ def time_range(recording: Recording, begin: float | None, end: float | None) -> 
         raise UserError(f"{recording.path} is {length:.1f} s long", f"--begin lies before that, not at {begin:g}")
 
     def at(seconds: float | None) -> int | None:
-        return None if seconds is None else zero + round(seconds * NS_PER_S)
+        return None if seconds is None or seconds == inf else zero + round(seconds * NS_PER_S)
 
     return at(begin), at(end)
 
@@ -63,7 +64,7 @@ def check_new_recording(out: Path, *sources: Path) -> Path:
     if out.suffix != ".mcap":
         raise UserError(f"{out} is no name for a recording", f"end it in .mcap: --out {out}.mcap")
     for source in sources:
-        if out.exists() and out.samefile(source):
+        if out.exists() and source.exists() and out.samefile(source):
             raise UserError(f"{out} is read from", OUT_HINT)
     check_not_written(out)
     return out

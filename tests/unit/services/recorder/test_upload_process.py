@@ -39,7 +39,7 @@ def step_until(process, holds):
 
 
 def test_its_lines_are_state_and_log(uploader):
-    lines = ['{"state": "1 to upload"}', "a warning of a library", '{"log": "INFO", "text": "uploaded a.mcap"}']
+    lines = ['{"state": "1 to upload"}', "a warning of a library", "100", '{"log": "INFO", "text": "uploaded a.mcap"}']
     process = uploader(f"print(*{lines!r}, sep=chr(10))")
     assert step_until(process, lambda logs: logs) == [Log("INFO", "uploaded a.mcap")]
     assert process.text == "1 to upload"

@@ -4,6 +4,7 @@
 from contextlib import suppress
 from pathlib import Path
 
+import mcap.writer
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -15,6 +16,7 @@ from shared.recording import CONFIG, Recording, Writer, sink
 from shared.runners.lockstep import Lockstep
 from tests.toys import ROBOT, build
 from zenav.__main__ import _status
+from zenav.recording.info import recording_info
 from zenav.replay.reprocess import replay_file
 
 slow = settings(
@@ -107,6 +109,22 @@ def test_a_stretch_of_one_byte_is_survived(small, tmp_path, capsys, at, n, value
     path = tmp_path / "flat.mcap"
     path.write_bytes(damaged)
     survived(path, capsys)
+
+
+def test_info_survives_a_file_without_compression_wherever_it_is_cut(tmp_path):
+    """As of ROS 2: the channel of a message may be there, and the message not."""
+    path = tmp_path / "ros.mcap"
+    writer = mcap.writer.Writer(str(path), compression=mcap.writer.CompressionType.NONE)
+    writer.start("ros2", "rosbag2")
+    number = writer.register_schema("std_msgs/msg/String", "ros2msg", b"?")
+    for i, key in enumerate(("/a", "/b")):
+        writer.add_message(writer.register_channel(key, "cdr", number), i, b"x" * 20, i, 0)
+    writer.finish()
+    content, counts = path.read_bytes(), set()
+    for at in range(10, len(content)):
+        path.write_bytes(content[:at])
+        counts.add(tuple(row.n for row in recording_info(path).topics))
+    assert counts == {(), (0,), (1,), (1, 0), (1, 1)}
 
 
 def test_a_tail_of_zeros_as_a_power_failure_leaves_it_is_told_and_repaired(small, tmp_path, capsys):

@@ -17,7 +17,7 @@ from services.recorder.service import RecorderService
 from shared import topics
 from shared.codec import Envelope, decode, encode
 from shared.config import UserError
-from shared.messages import EmergencyStop, LogLine, MapMode, Odometry, Velocity
+from shared.messages import EmergencyStop, LaserScan, LogLine, MapMode, Odometry, Velocity
 from shared.recording import CONFIG, Channel, Drop, Entry, Recording, Writer, sink
 from shared.recordings.reader import LATCHED
 from shared.runners.replay import replay
@@ -159,6 +159,11 @@ def test_cat_writes_the_fields_of_the_messages_that_are_asked_for(run, capsys):
     }  # fmt: skip
 
 
+def test_an_end_at_infinity_is_the_end_of_the_recording(run, capsys):
+    assert _status(["recording", "cat", str(run), "odom", "--end", "inf"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == sum(key == "odom" for key, *_ in rows(run))
+
+
 def test_cat_counts_and_matches_patterns(run, capsys):
     assert _status(["recording", "cat", str(run), "journal/*", "-n", "3"]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
@@ -201,6 +206,8 @@ def test_cat_writes_what_is_attached(run, capfdbinary):
         (["trim", "{}", "--out", "{}.zip"], "is no name for a recording"),
         (["merge", "{}", "--out", "b.mcap"], "two recordings or more"),
         (["info", "no.mcap"], "cannot read"),
+        (["trim", "no.mcap", "--out", "{}"], "cannot read"),
+        (["merge", "no.mcap", "none.mcap", "--out", "{}"], "cannot read"),
         (["mark", "no.mcap"], "cannot read"),
     ],
 )
@@ -503,6 +510,17 @@ def test_plot_draws_a_picture_and_into_the_terminal(run, tmp_path, capsys):
     drawn = capsys.readouterr().out
     assert any(0x2800 < ord(c) <= 0x28FF for c in drawn)
     assert "odom:odom_from_base.x, m" in drawn
+
+
+def test_a_range_without_an_echo_does_not_keep_the_others_from_being_drawn(tmp_path, capsys):
+    path = tmp_path / "a.mcap"
+    with Writer(path) as writer:
+        for i, first in enumerate((1.0, np.inf, np.nan, 3.0)):
+            scan = LaserScan(i, 0.0, 0.1, 0.1, 0.1, 10.0, np.array([first, 2.0], np.float32))
+            writer.write("scan", LaserScan, encode(scan, Envelope("sim", "s", i, i)), i * NS_PER_S, i, i)
+    assert _status(["recording", "plot", str(path), "scan:ranges[0]"]) == 0
+    drawn = capsys.readouterr().out
+    assert sum(0x2800 < ord(c) <= 0x28FF for c in drawn) == 2
 
 
 def test_latency_is_from_stamp_and_from_sending_to_recording(tmp_path, capsys):
