@@ -5,6 +5,7 @@ import signal
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from queue import Empty, SimpleQueue
+from threading import TIMEOUT_MAX
 
 
 class StopFlag:
@@ -30,7 +31,7 @@ class StopFlag:
         """Whether it is set, as soon as it is, or after so many seconds. For one waiting thread."""
         if not self._asked:
             with suppress(Empty):
-                self._wake.get(timeout=seconds)
+                self._wake.get(timeout=min(seconds, TIMEOUT_MAX))
         return self._asked
 
 

@@ -37,6 +37,15 @@ def test_a_wait_without_a_signal_ends_unset():
     assert not StopFlag().wait(0.01)
 
 
+@pytest.mark.parametrize("seconds", [float("inf"), 1e15])
+def test_a_wait_of_any_length_ends_when_it_is_set(seconds):
+    stop = StopFlag()
+    setter = threading.Timer(0.05, stop.set)
+    setter.start()
+    assert stop.wait(seconds)
+    setter.join()
+
+
 def interrupted_at(stop, line):
     """What `stop.wait` returns when a handler that sets it runs before the line-th line of it; None: no such line.
 
