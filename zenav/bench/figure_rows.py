@@ -120,7 +120,7 @@ ROWS: tuple[FigureRow, ...] = (
     FigureRow(
         name="merge",
         what="",
-        command="zenav bench merge --buildings 0-3 --overlaps 30,50 --strangers 2",
+        command="zenav bench merge --buildings 0-2 --overlaps 30,50 --strangers 2",
         cells=merge_cells,
         hidden="--maps {work}/parts",
         jobs=True,
