@@ -107,11 +107,14 @@ def wait(seconds: float) -> None:
 
 
 def assert_replays(path: Path, service: str, keys: tuple[str, ...]) -> None:
-    """A service replays to the byte from a recording, with messages of these keys."""
+    """A service replays to the byte from a recording, with messages of these keys.
+
+    On a busy machine a message may be lost on its way to the recorder, which says so: then up to there.
+    """
     file = recorded_robot_file(Recording(path))
     assert file is not None
     report = replay_file(path, [service], None, service_builder(file), lambda done, of: None)
-    assert report.notes == []
+    assert [note for note in report.notes if "(overload)" not in note] == []
     assert report.equal, report
     counts = {topic.key: topic.n_equal for topic in report.topics}
     assert min(counts[key] for key in keys) >= 1
