@@ -31,10 +31,10 @@ from shared.secure_folder import Member, MemberRole, SecureFolder, secure_folder
 from shared.topics import KEYS
 from zenav.console.table import show_table
 from zenav.secure.authority import Authority, new_authority
+from zenav.secure.members import CHECK_PREFIX as PREFIX
 from zenav.secure.members import today
 
 ROLES = (MemberRole.VIEWER, MemberRole.OPERATOR, MemberRole.ADMIN)
-PREFIX = "check-"
 """of the members that exist during a check."""
 SETTLE_S = 20.0  # at most, until the gateway runs with other members
 ANSWER_S = 1.0

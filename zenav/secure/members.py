@@ -18,6 +18,7 @@ from zenav.secure.authority import ROBOT_DAYS, Authority, checked_host, fingerpr
 
 NAME = re.compile(r"[a-z][a-z0-9_-]{0,39}")
 ROBOT_NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
+CHECK_PREFIX = "check-"  # of the names of members that `zenav secure check` adds for a moment
 
 
 def init_folder(robot: str, folder: str, hosts: list[str]) -> None:
@@ -43,6 +44,8 @@ def add_member(name: str, role: MemberRole, folder: str, out: Path | None, days:
     place = secure_folder(folder).require()
     if not NAME.fullmatch(name):
         raise UserError(f"{name!r} is no name of a member", "a small letter first; then small letters, digits, - and _")
+    if name.startswith(CHECK_PREFIX):
+        raise UserError(f"{name} is a name of `zenav secure check`, which removes it", "choose another one")
     if role is MemberRole.SERVICE and name not in SERVICES:
         raise UserError(f"{name} is not a service", nearest(name, SERVICES))
     if role is MemberRole.ROBOT and not ROBOT_NAME.fullmatch(name):

@@ -181,6 +181,12 @@ def test_a_damaged_file_is_no_credentials(place, damage):
         parsed_credentials(damage(text), "the file")
 
 
+def test_a_name_that_a_check_would_remove_is_refused(place):
+    with pytest.raises(UserError, match="zenav secure check"):
+        commands.add_member("check-anna", MemberRole.VIEWER, str(place.path), None, 30)
+    assert place.members() == []
+
+
 @pytest.mark.parametrize("name", ["", "a b", "x/y", "-a", "a" * 300, "..", "a_b."])
 def test_a_wrong_host_is_refused(name):
     with pytest.raises(UserError, match="no name of a host"):
