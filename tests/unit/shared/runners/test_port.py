@@ -270,7 +270,7 @@ def test_each_error_of_a_device_is_one_line(number, hint):
         "udp://nowhere",
         "listen://here",
         "gopher://x",
-        "socket://nobody",
+        "socket://missing",
         "udp://10.0.0.2:65536",
         "listen://0.0.0.0:99999",
     ],
