@@ -10,6 +10,7 @@ from typing import Any
 
 import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from services.dashboard.address import is_this_computer
 from services.dashboard.frames import MAX_FRAME
@@ -55,6 +56,16 @@ class LimitedProtocol(H11Protocol):
             self.transport.abort()
 
 
+class PageProtocol(WebSocketsSansIOProtocol):
+    """A page's connection. uvicorn's own raises at the server's end where a page said goodbye and has not read all."""
+
+    def shutdown(self) -> None:
+        if self.transport.is_closing():
+            self.transport.abort()
+        else:
+            super().shutdown()
+
+
 def _peer(protocol: Any) -> str:
     """The address at the other end of a protocol of uvicorn; empty once that is gone."""
     peer = protocol.transport.get_extra_info("peername")
@@ -71,7 +82,7 @@ class WebServer:
         self._config = uvicorn.Config(
             app,
             http=LimitedProtocol,
-            ws="websockets-sansio",
+            ws=PageProtocol,
             ws_max_size=MAX_FRAME,
             ws_per_message_deflate=False,
             ws_ping_interval=PING_S,
@@ -107,3 +118,5 @@ class WebServer:
     async def stop(self) -> None:
         """Closes the connections and the socket."""
         await self._server.shutdown(sockets=[self._socket])
+        for connection in list(self._server.server_state.connections):
+            connection.transport.abort()  # it does not read

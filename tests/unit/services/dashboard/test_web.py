@@ -8,6 +8,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import closing, suppress
 
+import msgpack
 import numpy as np
 import pytest
 from websockets.exceptions import InvalidStatus, WebSocketException
@@ -333,6 +334,28 @@ def test_a_page_that_does_not_read_gets_the_latest_later_and_holds_up_no_other(s
 
         slow.until(newest)
         assert len([f for f in slow.of("m") if f["k"] == "odom"]) < 120, "it got the newest, not all"
+
+
+def test_a_page_that_said_goodbye_and_reads_no_more_does_not_disturb_the_end(served):
+    scan = LaserScan(1, 0.0, 0.0001, 0.1, 0.1, 30.0, np.zeros(20_000, np.float32), np.zeros(20_000, np.float32))
+    with Browser(served.port) as page, closing(socket.create_connection(("127.0.0.1", served.port), SOON)) as leaving:
+        leaving.sendall(
+            b"GET /ws HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+            b"Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Version: 13\r\n\r\n"
+        )
+        assert b"101" in leaving.recv(1000)
+        want = msgpack.packb({"t": "want", "keys": ["scan"]})
+        leaving.sendall(bytes([0x82, 0x80 | len(want), 0, 0, 0, 0]) + want)  # masked with zeros
+        pages = served.device._hubs.first._pages
+        page.until(lambda: "scan" in served.link.keys)
+        for _ in range(100):  # more than the sockets between the two hold
+            served.link.publish("scan", scan)
+            page.ask("ask", op="maps")
+        leaving.sendall(bytes([0x88, 0x80, 0, 0, 0, 0]))
+        page.until(lambda: len(pages) == 1)
+        served.device.close()
+        page.until(lambda: page.closed)
+        assert page.closed[0] == 1012
 
 
 def test_another_tool_that_drives_is_shown(served):
