@@ -98,7 +98,6 @@ class Client:
                 f"{self.robot}/{key}",
                 congestion_control=zenoh.CongestionControl.DROP,
                 priority=zenoh.Priority.REAL_TIME,
-                express=True,
             )
         sequence = self._sequences[key] = self._sequences.get(key, -1) + 1
         envelope = Envelope(publisher, self.session_name, sequence, self.now())

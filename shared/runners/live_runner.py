@@ -175,7 +175,6 @@ class LiveRunner:
             f"{self.robot}/{key}",
             congestion_control=zenoh.CongestionControl.DROP,
             priority=zenoh.Priority.REAL_TIME if urgent else zenoh.Priority.DATA,
-            express=topic.hz >= 5,
         )
         if topic.latched:
             self._latched.publishers[key] = transport.LatchedPublisher(self.session, f"{self.robot}/{key}")

@@ -34,7 +34,7 @@ MAX_MESSAGE = 4 * MAX_PAYLOAD  # bytes that Zenoh accepts; it drops larger messa
 RING = 6_000  # messages that wait for the recorder: 12 s of a stack, 1.5 MB
 COMPRESSION = "transport/unicast/compression/enabled"  # LZ4 of batches: tiles of a map become a tenth
 ONE_THREAD = "(rx: (handover: net))"  # the thread that waits for the sockets also reads them
-DATA_QUEUE = 16  # batches of 64 kB a link: two, the default, overflow when a process waits 40 ms for a busy CPU
+DATA_QUEUE = 16  # batches of 64 kB a link, for parts of a map; small messages that wait share one, as none is `express`
 
 TOOL_OPEN_MS = 200  # ms that opening waits for links: a tool asks at once, and has no second try
 SERVICE_OPEN_MS = 80  # ms: what a service misses of its first links it asks for again; a restart waits for this
