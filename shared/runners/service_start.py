@@ -11,6 +11,8 @@ from shared.service import Service
 PRELOADED: dict[str, "ServiceStart"] = {}
 """By service: what the process that forked this one has read. Kernels of these services are loaded."""
 
+LEVELS = ("DEBUG", "INFO", "WARNING", "ERROR")
+
 
 @dataclass(frozen=True, slots=True)
 class ServiceStart:
@@ -43,7 +45,7 @@ def parser_of(name: str) -> argparse.ArgumentParser:
     parser.add_argument("--clock", default="", metavar="EPOCH:SPEED", help="simulated time: ns, times as fast as real")
     parser.add_argument("--memory", default="", metavar="FOLDER", help="keep what a restart must not lose, as the map")
     parser.add_argument("--crashes", default="recordings", metavar="FOLDER", help="where crash-NAME-STAMP.mcap goes")
-    parser.add_argument("--log", default="INFO", choices=["DEBUG", "INFO", "WARNING", "ERROR"], help="log level")
+    parser.add_argument("--log", type=str.upper, default="INFO", choices=LEVELS, help="log level")
     return parser
 
 

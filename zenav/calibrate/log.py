@@ -30,7 +30,6 @@ TOPICS: tuple[Topic[Any], ...] = (
     topics.WHEELS, topics.BASE_ODOMETRY, topics.SCAN, topics.POSE, topics.TRUTH, topics.CMD_VEL, topics.MOTORS,
     topics.IMU,
 )  # fmt: skip
-CLOCK_RESET_S = NS_PER_S  # ns that a stamp may lie before the last one's until it is another run of the clock
 
 
 @dataclass

@@ -73,9 +73,9 @@ class NamedItems(Generic[T]):
         self._write(folder, tree)
 
     def _file(self, folder: Path) -> list[RobotFile]:
-        """The file, if there is one."""
+        """The file, if there is one with anything in it."""
         path = folder / self.file
-        return [RobotFile(path, load_yaml(path))] if path.is_file() else []
+        return [RobotFile(path, load_yaml(path))] if path.is_file() and path.read_bytes().strip() else []
 
     def _write(self, folder: Path, tree: CommentedMap) -> None:
         stream = StringIO()

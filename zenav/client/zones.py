@@ -34,7 +34,12 @@ def zone_of(corners: list[str], speed: float | None, percent: float | None) -> Z
     try:
         return ZoneConfig(corners=points, speed=speed, percent=percent)
     except ValidationError as errors:
-        what = errors.errors()[0]["msg"].removeprefix("Value error, ")
+        error = errors.errors()[0]
+        what = error["msg"].removeprefix("Value error, ")
+        if error["loc"]:
+            raise UserError(
+                f"{error['loc'][0]} {error['input']}: {what}", "--speed takes 0.01 to 20 m/s, --percent 1 to 100"
+            ) from None
         raise UserError(what, "give three corners or more in order around it: 3,0 5,0 5,2") from None
 
 

@@ -81,6 +81,14 @@ def test_a_file_that_is_wrong_is_told_with_its_line(text, words):
         goal_from(["kitchen"], "")
 
 
+def test_a_file_that_was_emptied_has_no_places():
+    MAPS_FOLDER.mkdir()
+    (MAPS_FOLDER / FILE).write_text("\n")
+    assert read(MAPS_FOLDER) == {}
+    assert _status(["places", "save", "lab", "3", "4"]) == 0
+    assert list(read(MAPS_FOLDER)) == ["lab"]
+
+
 def test_a_mistyped_name_names_the_nearest():
     assert _status(["places", "save", "kitchen", "1", "2"]) == 0
     with pytest.raises(UserError) as error:

@@ -52,6 +52,7 @@ def test_what_is_kept_is_listed_and_forgotten_it_is_gone(capsys):
         (["a", "0,0", "2,2", "2,0", "0,2.5"], "cross"),
         (["a", "0,0", "2,0", "2,2", "--speed", "1", "--percent", "3"], "not both"),
         (["1a", "0,0", "2,0", "2,2"], "no name for a zone"),
+        (["a", "0,0", "2,0", "2,2", "--speed", "-1"], "speed -1.0: Input should be greater"),
     ],
 )
 def test_what_is_no_zone_is_told_in_one_line_and_nothing_is_written(words, told, capsys):
