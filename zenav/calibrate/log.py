@@ -22,7 +22,6 @@ from shared.messages import (
 )
 from shared.recording import Recording
 from shared.topics import Topic
-from shared.types import NS_PER_S
 from zenav.calibrate.base_motion import BaseMotion
 from zenav.calibrate.rolling import WheelTravel
 
