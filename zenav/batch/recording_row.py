@@ -16,7 +16,6 @@ from shared.messages import (
     GuardStatus,
     Localization,
     Message,
-    NavState,
     NavStatus,
     Odometry,
     PoseEstimate,
@@ -27,6 +26,7 @@ from shared.types import NS_PER_S
 from zenav.batch.catalogue import TAG
 from zenav.batch.storage import StoredLog, content_version, local_copy
 from zenav.batch.table import Row
+from zenav.metrics.nav_counts import NavCounts
 from zenav.recording.opening import open_recording
 from zenav.recording.selection import begin_of, end_of
 
@@ -42,13 +42,10 @@ class RecordingFigures:
     driven: float = 0.0  # m, by odometry
     contact: bool = False
     lost: int = 0
-    goals: int = 0
-    failed: int = 0
-    recoveries: int = 0
+    nav: NavCounts = field(default_factory=NavCounts)
     stops: set[str] = field(default_factory=set)
     faults: set[str] = field(default_factory=set)
     _at: Pose2 | None = None
-    _nav: NavStatus | None = None
 
     def add(self, entry: Entry) -> None:
         topic = topics.topic_of(entry.key)
@@ -68,7 +65,7 @@ class RecordingFigures:
         elif isinstance(message, PoseEstimate):
             self.lost += message.state is Localization.LOST
         elif isinstance(message, NavStatus):
-            self._add_status(message)
+            self.nav.add(message)
         elif isinstance(message, GuardStatus) and message.reason:
             self.stops.add(message.reason)
         elif isinstance(message, BaseStatus) and message.fault:
@@ -77,17 +74,6 @@ class RecordingFigures:
             self.contact |= message.n_contacts > 0
         elif isinstance(message, Contacts):
             self.contact |= bool(message.bumpers)
-
-    def _add_status(self, status: NavStatus) -> None:
-        before = self._nav
-        is_new = before is None or (before.task_id, before.state) != (status.task_id, status.state)
-        self.goals += is_new and status.state is NavState.REACHED
-        self.failed += is_new and status.state is NavState.FAILED
-        if before is None or before.task_id != status.task_id:
-            self.recoveries += status.n_recoveries
-        else:
-            self.recoveries += max(status.n_recoveries - before.n_recoveries, 0)
-        self._nav = status
 
 
 def recording_row(source: StoredLog) -> Row:
@@ -121,9 +107,9 @@ def _figures(recording: Recording) -> dict[str, Any]:
         "driven": round(figures.driven, 3),
         "contact": figures.contact,
         "lost": figures.lost,
-        "goals": figures.goals,
-        "failed": figures.failed,
-        "recoveries": figures.recoveries,
+        "goals": figures.nav.n_reached,
+        "failed": figures.nav.n_failed,
+        "recoveries": figures.nav.n_recoveries,
         "stops": sorted(figures.stops),
         "faults": sorted(figures.faults),
         "services": sorted(services),

@@ -17,7 +17,6 @@ from shared.messages import (
     GuardStatus,
     Localization,
     MapUpdate,
-    NavState,
     NavStatus,
     Odometry,
     Path,
@@ -28,6 +27,7 @@ from shared.recording import Entry
 from shared.runners.host import DONE
 from shared.runners.journal import Life
 from shared.types import Float64s
+from zenav.metrics.nav_counts import NavCounts
 
 Metrics = dict[str, float]
 """By name with its unit, like `pose path, m`."""
@@ -49,12 +49,10 @@ class RecordedRun:
     n_lost: int = 0
     n_plans: int = 0
     n_refused: int = 0
-    n_reached: int = 0
-    n_recoveries: int = 0
+    nav: NavCounts = field(default_factory=NavCounts)
     standing: dict[str, int] = field(default_factory=dict)  # guard's messages by reason
     truth: Truth | None = None
     delays: dict[str, list[float]] = field(default_factory=dict)  # ms
-    _nav: NavState | None = None
 
     def add(self, entry: Entry) -> None:
         topic = topics.topic_of(entry.key)
@@ -78,9 +76,7 @@ class RecordedRun:
             self.n_plans += not message.reason
             self.n_refused += bool(message.reason)
         elif isinstance(message, NavStatus):
-            self.n_reached += message.state is NavState.REACHED and self._nav is not NavState.REACHED
-            self.n_recoveries = max(self.n_recoveries, message.n_recoveries)
-            self._nav = message.state
+            self.nav.add(message)
         elif isinstance(message, GuardStatus):
             if message.reason:
                 self.standing[message.reason] = self.standing.get(message.reason, 0) + 1
@@ -122,8 +118,8 @@ def run_metrics(run: RecordedRun, lives: Iterable[Life] = ()) -> Metrics:
         metrics["map occupied, cells"] = int(run.grid.occupied.sum())
     if run.n_plans or run.n_refused:
         metrics |= {"plan ways, messages": run.n_plans, "plan without a way, messages": run.n_refused}
-    if run._nav is not None:
-        metrics |= {"goals reached": run.n_reached, "recoveries": run.n_recoveries}
+    if run.nav.last is not None:
+        metrics |= {"goals reached": run.nav.n_reached, "recoveries": run.nav.n_recoveries}
     metrics |= {f"guard {reason}, messages": n for reason, n in sorted(run.standing.items())}
     if run.truth is not None:
         metrics |= {"truly driven, m": run.truth.distance, "contacts": run.truth.n_contacts}
