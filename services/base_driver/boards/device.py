@@ -34,7 +34,7 @@ class BoardInput:
 
     report: the newest report, None without one.  odometry: instead of it, of a board that does its own.
     n_reports: how many there were.  answer: bytes to send.
-    ends_with_answer: the last packet wants the answer alone, without start bytes.
+    ends_with_answer: the last packet wants the answer alone, unless start bytes are overdue.
     restarted: the board was restarted, so its counters began again.  yaw_rate: rad/s by a gyro, None without one.
     contacts: pressed bumpers, cliff sensors without floor, and the e-stop input; None where the board has none.
     """
