@@ -380,7 +380,7 @@ def _holders(device: str) -> str:
         with suppress(OSError):  # another user's, or it has ended meanwhile
             for link in (process / "fd").iterdir():
                 if process.name != str(os.getpid()) and _target(link) == device:
-                    holders.add(f"{(process / 'comm').read_text().strip()} ({process.name})")
+                    holders.add(f"{(process / 'comm').read_text(errors='replace').strip()} ({process.name})")
     return f" by {', '.join(sorted(holders))}" if holders else ""
 
 

@@ -185,6 +185,7 @@ def test_a_device_in_use_names_who_holds_it(tmp_path):
 
 
 HOLDS = "import serial, sys; port = serial.Serial(sys.argv[1], exclusive=True); print(flush=True); sys.stdin.read()"
+RENAMED = "open('/proc/self/comm', 'wb').write('abcdefghijklmnü'.encode()); " + HOLDS  # cut to 15 bytes, within the last
 
 
 @pytest.mark.parametrize("number", ["", "7"], ids=["by its name", "by its serial number"])
@@ -202,6 +203,19 @@ def test_a_device_in_use_by_another_process_names_it(tmp_path, monkeypatch, numb
             holder.stdin.close()
     assert not state.open
     assert f"is in use by {name} ({holder.pid}): end that" in state.detail
+
+
+def test_a_device_is_opened_when_a_process_whose_name_is_cut_within_a_character_gives_it_free(tmp_path):
+    with running(f"pty:{tmp_path}/robot") as (_, at_far):
+        assert at_far.state().open
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        with subprocess.Popen([sys.executable, "-c", RENAMED, f"{tmp_path}/robot"], **pipes) as holder:
+            assert holder.stdout.readline()
+            with running(f"{tmp_path}/robot") as (_, at_near):
+                state = at_near.state()
+                holder.stdin.close()
+                assert at_near.state().open
+    assert "is in use by abcdefghijklmn" in state.detail
 
 
 def test_processes_that_end_while_the_holder_of_a_device_is_looked_for_are_left_out(tmp_path, monkeypatch):
