@@ -311,7 +311,8 @@ class PseudoTerminal:
 
     def close(self) -> None:
         with suppress(OSError):
-            self._link.unlink()
+            if _target(self._link) == os.ttyname(self._slave):  # else another emulator has the link
+                self._link.unlink()
         os.close(self._master)
         os.close(self._slave)
 
