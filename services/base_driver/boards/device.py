@@ -13,11 +13,11 @@ from services.base_driver.kinematics import count_difference, wheel_angles
 from shared.board_framing import LineCounts
 from shared.config import Robot, UserError
 from shared.messages import BaseOdometry, BoardReport
+from shared.robot import MAX_COUNTS_PER_S
 
 NO_RANGES = np.empty(0, np.float32)
 MIN_SPEED_STEP_S = 0.06  # s; counts over a shorter time give a coarse speed
 MAX_SPEED_STEP_S = 0.5  # s; after a longer pause the speed is not known
-MAX_COUNTS_PER_S = 1e6  # counts/s; bound of BoardReport
 
 
 class BoardContacts(NamedTuple):
