@@ -13,6 +13,7 @@ from shared.section import Section
 
 CIRCLE_CORNERS = 32  # of the polygon around a round robot: it reaches 0.5 % beyond the circle
 MAX_LASERS = 2  # one topic each: shared/lasers.py
+MAX_COUNTS_PER_S = 1e6  # counts/s; bound of MotorCommand and BoardReport
 HOLONOMIC = ("mecanum", "omni", "omnidirectional", "holonomic", "swerve")
 
 
@@ -37,7 +38,9 @@ class Drive(Section):
     wheel_distance: float = Field(
         gt=0, le=3, description="m between the wheels' contact points, as it acts when turning"
     )
-    counts_per_turn: int = Field(gt=0, description="encoder counts a turn of the wheel")
+    counts_per_turn: int = Field(
+        gt=0, description="encoder counts a turn of the wheel; at most 1e6 a second at the maximum speeds"
+    )
     encoder_wrap: int = Field(gt=0, description="encoder counts at which the counter returns to 0")
     motor_direction: int = Field(1, ge=-1, le=1, description="+1 or -1: sign of both motors, the document's motorDir")
     max_speed: float = Field(gt=0, le=10, description="m/s forward")
@@ -62,6 +65,18 @@ class Drive(Section):
             raise ValueError("motor_direction is +1 or -1")
         if not self.turns_in_place and self.min_turning_radius < 0.05:
             raise ValueError("a robot that may not turn on the spot needs a min_turning_radius of 0.05 m at least")
+        return self
+
+    @model_validator(mode="after")
+    def _countable(self) -> "Drive":
+        """The bound of MotorCommand: a faster command would be rejected, and a faster report too."""
+        rim_speed = max(self.max_speed, self.max_reverse_speed) + self.max_turn_rate * self.wheel_distance / 2
+        counts = rim_speed / min(self.left_radius, self.right_radius) * self.counts_per_turn / (2 * pi)
+        if self.kind == "differential" and counts > MAX_COUNTS_PER_S:
+            raise ValueError(
+                f"counts_per_turn: at its maximum speeds a wheel makes {counts:.0f} counts a second; the limit is "
+                f"{MAX_COUNTS_PER_S:.0f}"
+            )
         return self
 
     @property

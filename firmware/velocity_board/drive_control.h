@@ -65,8 +65,8 @@ class DriveControl {
     left_ticks_ = left_ticks;
     right_ticks_ = right_ticks;
     updated_at_ = ms;
-    if (is_stopped) has_command_ = false;  // a released e-stop moves nothing: it takes a new command
     if (is_stopped || has_expired(ms)) {
+      has_command_ = false;  // neither a released e-stop nor the return of `ms` to 0 moves anything without a new command
       left_pid_.reset();
       right_pid_.reset();
       *left = *right = 0;

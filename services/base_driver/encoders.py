@@ -14,8 +14,9 @@ MAX_ANGLE_RAD = 900_000.0  # rad; below WheelState's bound of 1e6; then a new ep
 
 
 class WheelAngles(Protocol):
-    """rad that both wheels have turned in this epoch, and the number of jumps so far."""
+    """rad that both wheels have turned in this epoch (ns), and the number of jumps so far."""
 
+    epoch: int | None
     left: float
     right: float
     n_jumps: int

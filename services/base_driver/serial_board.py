@@ -56,8 +56,9 @@ class SerialBoard:
         if self.device.counts.n_good > n_good:
             self._last_at["packet"] = now
         if received.n_reports:
-            is_first = not self._is_recent("report", now) and not received.ends_with_answer
-            if is_first and not self.device.starts_again:
+            is_first = not self._is_recent("report", now)
+            has_started = received.ends_with_answer and self._has_just_started(now)
+            if is_first and not has_started and not self.device.starts_again:
                 received.answer = self._start(now) + received.answer
             self._last_at["report"] = now
             self._n_reports += received.n_reports
@@ -66,7 +67,7 @@ class SerialBoard:
     def command(self, left: float, right: float, now: int) -> bytes:
         """Bytes that command the wheels' speeds, counts/s with the signs of BoardReport."""
         must_start = self.device.starts_again and not self._is_recent("report", now)
-        start = self._start(now) if must_start and not 0 <= now - self._started_at < self.silent else b""
+        start = self._start(now) if must_start and not self._has_just_started(now) else b""
         return start + self.device.command(left, right, now)
 
     def stop_bytes(self) -> bytes:
@@ -118,6 +119,10 @@ class SerialBoard:
     def _start(self, now: int) -> bytes:
         self._started_at = now
         return self.device.start_command()
+
+    def _has_just_started(self, now: int) -> bool:
+        """Whether the start bytes were sent within `silent`."""
+        return 0 <= now - self._started_at < self.silent
 
     def _is_recent(self, what: str, now: int) -> bool:
         """Whether such bytes or packets arrived within `silent`."""

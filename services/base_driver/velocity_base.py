@@ -3,7 +3,7 @@
 
 from dataclasses import replace
 
-from services.base_driver.encoders import MAX_ANGLE_RAD, EncoderConfig
+from services.base_driver.encoders import EncoderConfig
 from services.base_driver.kinematics import wheel_speeds
 from shared.config import Drive
 from shared.messages import BaseOdometry
@@ -35,8 +35,6 @@ class VelocityBase:
         if epoch is None or last is None or last.epoch != report.epoch or not self._add_step(last, report):
             epoch = now if epoch is None else max(now, epoch + 1)
         self._last, self.epoch = report, epoch
-        if max(abs(self.left), abs(self.right)) > MAX_ANGLE_RAD:
-            self.left = self.right = 0.0
         return replace(report, epoch=epoch)
 
     def _add_step(self, before: BaseOdometry, after: BaseOdometry) -> bool:

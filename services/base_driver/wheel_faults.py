@@ -35,6 +35,7 @@ class WheelFaults:
         self._stuck = StuckDetector(stuck), StuckDetector(stuck)
         self._tracking = WheelTrackingMonitor(following), WheelTrackingMonitor(following)
         self._n_jumps = 0
+        self._epoch: int | None = None
         self._report_age: int | None = None  # ns, of the last report when it came
 
     def latch(self, code: str, detail: str, at: int) -> None:
@@ -77,7 +78,8 @@ class WheelFaults:
 
     def update(self, stamp: int, encoders: WheelAngles, commanded: tuple[float, float], now: int) -> None:
         """Judges a report: its stamp (ns), the wheel angles, and the commanded speeds (left, right, rad/s)."""
-        has_jumped, self._n_jumps = encoders.n_jumps != self._n_jumps, encoders.n_jumps
+        is_continuous = (encoders.n_jumps, encoders.epoch) == (self._n_jumps, self._epoch)
+        self._n_jumps, self._epoch = encoders.n_jumps, encoders.epoch
         if self._report_age is not None and now - stamp < self._report_age - MAX_CLOCK_STEP_NS:
             self.restart()  # the board's clock was ahead: the wheels were not slow
         self._report_age = now - stamp
@@ -85,7 +87,7 @@ class WheelFaults:
         for name, angle, speed, radius, detector, tracker in zip(
             WHEEL_NAMES, (encoders.left, encoders.right), commanded, self._radii, self._stuck, self._tracking
         ):
-            if has_jumped:
+            if not is_continuous:
                 tracker.reset()
             is_stuck = detector.update(stamp, angle, speed, radius)
             rim_speed = tracker.update(stamp, angle, speed, radius)

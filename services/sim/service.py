@@ -30,6 +30,7 @@ from shared.messages import BoardReport, Clock, Contacts, Imu, LaserScan, MotorC
 from shared.ports import PortConfig
 from shared.requests import Break, Reply
 from shared.service import Answer, Out, Service, answer, every, on
+from shared.topics import Publication
 
 CATCH_UP_STEPS = 100  # 0.5 s; during a longer gap without ticks the world stands still
 
@@ -127,7 +128,8 @@ class SimService(Service):
 
     @on(topics.MOTORS)
     def motors(self, command: MotorCommand) -> Out:
-        if self.emulation is None:
+        """Takes the command of a base that counts its wheels."""
+        if self.emulation is None or self.emulation.board is None:
             self._take_command(*wheel_targets(command.left, command.right, self.robot.drive))
         return ()
 
@@ -156,8 +158,7 @@ class SimService(Service):
             for topic, scans in ((topics.SCAN, self._due_scans()), (topics.SCAN_2, self._due_scans_2())):
                 sent = (self.faults.scan(scan, topic.key) for scan in scans)
                 yield from (topic(scan) for scan in sent if scan is not None)
-            is_velocity_base = self.robot.drive.kind == "velocity"
-            yield from self._base_motion() if is_velocity_base else (topics.BOARD(self.faults.board(self._board())),)
+            yield self._base_report()
             yield from self._body_sensors()
         else:
             yield from self.emulation.update_plugs(self.now)
@@ -167,7 +168,7 @@ class SimService(Service):
             if self.emulation.board is not None:
                 yield from self.emulation.send_report(self._board(), imu, contacts, self.now)
             else:
-                yield from self._base_motion()
+                yield self._base_report()
             yield from self.emulation.send_body(imu, contacts if self.robot.has_contacts else None, self.now)
         yield topics.TRUTH(true_state(self.time, self.state_now, self.world, self.people))
         yield topics.CLOCK(Clock(self.now, 1.0))
@@ -238,5 +239,8 @@ class SimService(Service):
         row = self.history[self.step % len(self.history)]
         return self.board.report(self.time, self.state_now, row, self.cells, self._currents())
 
-    def _base_motion(self) -> Out:
-        yield topics.BASE_MOTION(self.board.odometry(self.time, self.epoch or 0, self.state_now, self._currents()))
+    def _base_report(self) -> Publication:
+        """The board's report, or the odometry of a base that controls its own speed."""
+        if self.robot.drive.kind == "velocity":
+            return topics.BASE_MOTION(self.board.odometry(self.time, self.epoch or 0, self.state_now, self._currents()))
+        return topics.BOARD(self.faults.board(self._board()))

@@ -3,6 +3,7 @@
 
 import gzip
 import json
+import zlib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -139,7 +140,7 @@ def read_cylinder_file(path: Path, model: type[F]) -> F:
         return model.model_validate(tree)
     except OSError as error:
         raise UserError(f"cannot read {path}: {error.strerror or 'no gzip file'}", "check `barn_file:`") from None
-    except (EOFError, ValueError, ValidationError) as error:
+    except (EOFError, ValueError, ValidationError, zlib.error) as error:
         reason = str(error).splitlines()[0]
         raise UserError(f"{path}: not a list of cylinders: {reason}", "see `CylinderFile` in its README") from None
 

@@ -311,7 +311,8 @@ class PseudoTerminal:
 
     def close(self) -> None:
         with suppress(OSError):
-            self._link.unlink()
+            if _target(self._link) == os.ttyname(self._slave):  # else another emulator has the link
+                self._link.unlink()
         os.close(self._master)
         os.close(self._slave)
 
@@ -380,7 +381,7 @@ def _holders(device: str) -> str:
         with suppress(OSError):  # another user's, or it has ended meanwhile
             for link in (process / "fd").iterdir():
                 if process.name != str(os.getpid()) and _target(link) == device:
-                    holders.add(f"{(process / 'comm').read_text().strip()} ({process.name})")
+                    holders.add(f"{(process / 'comm').read_text(errors='replace').strip()} ({process.name})")
     return f" by {', '.join(sorted(holders))}" if holders else ""
 
 

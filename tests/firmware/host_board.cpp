@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // The reference firmware on a computer: the sketch's loop with motors of the first order, one line in and out a period.
-// In: "HEX ESTOP", the bytes that arrived and 0 or 1. Out: the bytes of the status line.
+// In: "HEX ESTOP MS": the bytes that arrived, 0 or 1, and ms that pass before. Out: the bytes of the status line.
 #include <math.h>
 
 #include <iostream>
@@ -24,6 +24,7 @@ int main(int argc, char** argv) {
   while (std::getline(std::cin, line)) {
     const size_t space = line.find(' ');
     const bool is_stopped = line[space + 1] == '1';
+    ms += (uint32_t)std::stoul(line.substr(space + 3));
     Command command;
     for (size_t i = 0; i + 1 < space; i += 2) {
       if (reader.feed((char)std::stoi(line.substr(i, 2), nullptr, 16), &command)) control.take(command, ms);

@@ -49,7 +49,7 @@ class FirmwareBench:
         self.driver = BaseDriverService(CONFIG, robot())
         self.driver.now = T0
         self.out, self.to_board, self.lines = [], b"", []
-        self.is_pressed = False
+        self.is_pressed, self.passed_ms = False, 0
         self.take(self.driver.port(PortState(T0, "board", True, "")))
 
     def take(self, outputs):
@@ -60,9 +60,9 @@ class FirmwareBench:
 
     def exchange(self):
         """One period of the firmware: the bytes for it go in, its line comes out."""
-        self.board.stdin.write(f"{self.to_board.hex()} {int(self.is_pressed)}\n")
+        self.board.stdin.write(f"{self.to_board.hex()} {int(self.is_pressed)} {self.passed_ms}\n")
         self.board.stdin.flush()
-        self.to_board = b""
+        self.to_board, self.passed_ms = b"", 0
         self.lines.append(self.board.stdout.readline().encode())
         return self.lines[-1]
 
@@ -129,6 +129,14 @@ def test_without_commands_the_firmware_stops_after_200_ms(bench):
     before = bench.fields[7:]
     bench.run(0.5, driver=False)
     assert bench.fields[7:] == before
+
+
+def test_a_command_does_not_count_again_when_the_clock_of_32_bits_comes_round(bench):
+    bench.run(0.2, 0.0).run(1.0, 0.3).run(1.0, driver=False)
+    stood = bench.fields[7:]
+    bench.passed_ms = 2**32 - 1100  # 49.7 days of silence
+    bench.run(1.0, driver=False)
+    assert bench.fields[7:] == stood
 
 
 def test_the_emergency_stop_stops_and_its_release_alone_moves_nothing(bench):

@@ -13,11 +13,11 @@ from services.base_driver.kinematics import count_difference, wheel_angles
 from shared.board_framing import LineCounts
 from shared.config import Robot, UserError
 from shared.messages import BaseOdometry, BoardReport
+from shared.robot import MAX_COUNTS_PER_S
 
 NO_RANGES = np.empty(0, np.float32)
 MIN_SPEED_STEP_S = 0.06  # s; counts over a shorter time give a coarse speed
 MAX_SPEED_STEP_S = 0.5  # s; after a longer pause the speed is not known
-MAX_COUNTS_PER_S = 1e6  # counts/s; bound of BoardReport
 
 
 class BoardContacts(NamedTuple):
@@ -34,7 +34,7 @@ class BoardInput:
 
     report: the newest report, None without one.  odometry: instead of it, of a board that does its own.
     n_reports: how many there were.  answer: bytes to send.
-    ends_with_answer: the last packet wants the answer alone, without start bytes.
+    ends_with_answer: the last packet wants the answer alone, unless start bytes are overdue.
     restarted: the board was restarted, so its counters began again.  yaw_rate: rad/s by a gyro, None without one.
     contacts: pressed bumpers, cliff sensors without floor, and the e-stop input; None where the board has none.
     """

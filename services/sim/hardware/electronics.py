@@ -11,7 +11,8 @@ from shared.messages import BoardReport
 class BodyTruth(NamedTuple):
     """What a board can measure beside its wheels. yaw_rate: rad/s by a gyro, None without one.
 
-    bumpers, cliffs: names of the pressed bumpers, and of the cliff sensors without floor.
+    bumpers, cliffs: names of the pressed bumpers, and of the cliff sensors without floor. A board ignores other names
+    than its own.
     """
 
     yaw_rate: float | None = None

@@ -44,8 +44,8 @@ class KobukiElectronics(WheelElectronics):
         self._started_at = now if self._started_at is None else self._started_at
         ms = (now - self._started_at) // MS % 65536
         left, right = self.counters(truth)
-        bumper = sum(BUMPER_BITS[name] for name in body.bumpers)
-        cliff = sum(CLIFF_BITS[name] for name in body.cliffs)
+        bumper = sum(bit for name, bit in BUMPER_BITS.items() if name in body.bumpers)
+        cliff = sum(bit for name, bit in CLIFF_BITS.items() if name in body.cliffs)
         battery = round(truth.battery * 10) if truth.battery >= 0 else 0
         basic = pack("<HBBBHHbbBBBB", ms, bumper, 0, cliff, left, right, 0, 0, 0, 0, min(battery, 255), 0)
         rate = min(max(round(degrees(body.yaw_rate or 0.0) * 100), -32767), 32767)

@@ -64,7 +64,7 @@ class VelocityElectronics(WheelElectronics):
         flags |= BoardFlags.ESTOP if body.estop else BoardFlags(0)
         for kind, names in (("BUMPER", body.bumpers), ("CLIFF", body.cliffs)):
             for name in names:
-                flags |= BoardFlags[f"{kind}_{name.upper()}"]
+                flags |= BoardFlags.__members__.get(f"{kind}_{name.upper()}", BoardFlags(0))
         counts = self.counters(truth)
         values = self._pose(counts) if self.drive.kind == "velocity" else counts
         return [

@@ -4,7 +4,7 @@
 import pytest
 
 from shared import robot_files as module
-from shared.config import UserError, load_robot, robot_path
+from shared.config import UserError, configured, load_robot, robot_path
 from shared.robot_files import ROBOTS_DIR, is_installed, manual_page, robot_files
 
 
@@ -68,3 +68,10 @@ def test_what_stands_before_an_at_is_the_robots_own_name(tmp_path, monkeypatch):
 def test_a_wrong_name_is_told_with_its_option():
     with pytest.raises(UserError, match=r"^--name: robot\.name"):
         _ = load_robot("Red!@x80sv").robot
+
+
+def test_a_wheel_that_makes_more_counts_a_second_than_a_command_can_hold_is_refused():
+    settings = ["robot.drive.counts_per_turn=200000"]
+    with pytest.raises(UserError, match="counts_per_turn: at its maximum speeds a wheel makes 1015993 counts a second"):
+        _ = configured("jackal", settings).robot
+    assert configured("turtlebot4", settings).robot.drive.kind == "velocity", "it gets no counts"

@@ -185,6 +185,14 @@ def test_a_board_that_comes_back_from_silence_gets_its_gains_again():
     assert sum(isinstance(order, board.GainsCommand) for order in wired.orders) == 2
 
 
+def test_a_board_whose_first_bytes_after_silence_end_with_a_ping_gets_its_gains_too():
+    wired = Wired().port().run(1.0).run(0.6, says=lambda wired, k: ())
+    wired.orders.clear()
+    wired.says(wired.motors(), board.system(board.PING))
+    wired.run(0.1)
+    assert sum(isinstance(order, board.GainsCommand) for order in wired.orders) == 2
+
+
 def test_every_word_of_the_board_is_acknowledged_once_a_read():
     wired = Wired().port()
     for code in (0, 1, 2, 3):

@@ -113,6 +113,14 @@ def test_silence_age_stop_and_battery_stop_it():
     assert (bench.fault(), bench.command) == ("battery_empty", (0.0, 0.0))
 
 
+def test_a_base_drives_on_beyond_900_000_rad_of_its_wheels():
+    bench = BaseBench().run(0.2, 0.0)
+    bench.service.velocity_base.left = bench.service.velocity_base.right = 899_999.0
+    for _ in range(10):
+        bench.run(0.08, 0.2, reports=False).run(0.02, 0.2)
+    assert (bench.fault(), bench.command[0]) == ("", 0.2)
+
+
 def test_a_base_that_was_restarted_begins_an_epoch():
     bench = BaseBench().run(0.2, 0.0).run(1.0, 0.2)
     first = bench.last(topics.BASE_ODOMETRY).epoch

@@ -21,14 +21,14 @@ class FaultyWheels:
         self.encoders = Encoders(EncoderConfig(), DRIVE)
         self.now = 100 * S
 
-    def run(self, seconds, left, right):
+    def run(self, seconds, left, right, hz=50):
         """Turns the wheels by these shares of the command. The command is zero during a pause and after a fault."""
-        for _ in range(round(seconds * 50)):
-            self.now += S // 50
+        for _ in range(round(seconds * hz)):
+            self.now += S // hz
             stands = self.faults.is_pausing(self.now) or bool(self.faults.code)
             command = 0.0 if stands else COMMAND_M_S
-            self.encoders.left += left * command / 50
-            self.encoders.right += right * command / 50
+            self.encoders.left += left * command / hz
+            self.encoders.right += right * command / hz
             self.faults.update(self.now, self.encoders, (command, command), self.now)
         return self.faults.code
 
@@ -79,3 +79,14 @@ def test_a_clock_that_is_set_back_neither_holds_the_robot_nor_blinds_the_watch()
     wheels.run(0.5, 0.0, 0.0)
     wheels.now -= 60 * S
     assert wheels.run(10.0, 0.0, 0.0) == reasons.WHEEL_STUCK.code
+
+
+def test_angles_that_begin_again_at_zero_in_a_new_epoch_are_no_fault():
+    wheels = FaultyWheels()
+    wheels.encoders.left = wheels.encoders.right = 900_000.0
+    wheels.encoders.epoch = 1
+    wheels.run(1.0, 1.0, 1.0, hz=10)
+    wheels.encoders.left = wheels.encoders.right = 0.0
+    wheels.encoders.epoch = 2
+    assert wheels.run(1.0, 1.0, 1.0, hz=10) == ""
+    assert not wheels.faults.is_pausing(wheels.now)

@@ -81,6 +81,7 @@ def test_what_is_missing_or_broken_is_told_with_its_hint(tmp_path):
     (tmp_path / "w.json").write_text(json.dumps(CYLINDERS))
     (tmp_path / "half.json.gz").write_bytes(gzip.compress(b"{}" * 99)[:20])
     (tmp_path / "no.json.gz").write_bytes(b"no gzip")
+    (tmp_path / "damaged.json.gz").write_bytes(gzip.compress(b"{}" * 99)[:10] + b"\xff" * 20)
     (tmp_path / "list.json").write_text("[]")
     cases = [
         ("ofice", "", "did you mean `office`"),
@@ -90,6 +91,7 @@ def test_what_is_missing_or_broken_is_told_with_its_hint(tmp_path):
         ("barn:1", "w", "barn_file"),
         ("barn:1", "half.json.gz", ""),
         ("barn:1", "no.json.gz", ""),
+        ("barn:1", "damaged.json.gz", ""),
         ("barn:1", "list.json", ""),
         (ros_map(tmp_path, MAP.replace("m.pgm", "x.pgm")), "", ""),
         (ros_map(tmp_path, MAP.replace("-2, 0]", "-2, 1]")), "", ""),

@@ -76,6 +76,18 @@ def test_bytes_pass_both_ways_in_order_and_unchanged(tmp_path):
             assert at_far.data(len(every_byte)) == every_byte
 
 
+def test_an_emulator_that_ends_leaves_the_link_of_the_one_that_replaced_it(tmp_path):
+    with running(f"pty:{tmp_path}/robot") as (old, at_old):
+        assert at_old.state().open
+        with running(f"pty:{tmp_path}/robot") as (_, at_far):
+            assert at_far.state().open
+            old.close()
+            with running(f"{tmp_path}/robot") as (near, at_near):
+                assert at_near.state().open
+                near.write(b"ping")
+                assert at_far.data(4) == b"ping"
+
+
 def test_what_was_ordered_before_closing_is_still_written(tmp_path):
     with running(f"pty:{tmp_path}/robot") as (_, at_far):
         assert at_far.state().open
@@ -185,6 +197,7 @@ def test_a_device_in_use_names_who_holds_it(tmp_path):
 
 
 HOLDS = "import serial, sys; port = serial.Serial(sys.argv[1], exclusive=True); print(flush=True); sys.stdin.read()"
+RENAMED = "open('/proc/self/comm', 'wb').write('abcdefghijklmnü'.encode()); " + HOLDS  # cut after 15 bytes
 
 
 @pytest.mark.parametrize("number", ["", "7"], ids=["by its name", "by its serial number"])
@@ -202,6 +215,19 @@ def test_a_device_in_use_by_another_process_names_it(tmp_path, monkeypatch, numb
             holder.stdin.close()
     assert not state.open
     assert f"is in use by {name} ({holder.pid}): end that" in state.detail
+
+
+def test_a_device_is_opened_when_a_process_whose_name_is_cut_within_a_character_gives_it_free(tmp_path):
+    with running(f"pty:{tmp_path}/robot") as (_, at_far):
+        assert at_far.state().open
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        with subprocess.Popen([sys.executable, "-c", RENAMED, f"{tmp_path}/robot"], **pipes) as holder:
+            assert holder.stdout.readline()
+            with running(f"{tmp_path}/robot") as (_, at_near):
+                state = at_near.state()
+                holder.stdin.close()
+                assert at_near.state().open
+    assert "is in use by abcdefghijklmn" in state.detail
 
 
 def test_processes_that_end_while_the_holder_of_a_device_is_looked_for_are_left_out(tmp_path, monkeypatch):

@@ -194,6 +194,15 @@ def test_the_gyro_of_a_board_has_the_stamp_of_its_wheels_also_with_a_latency():
 
 
 @pytest.mark.parametrize("model", ["velocity", "kobuki", "create2"])
+def test_an_emulated_board_reports_the_bumpers_and_cliff_sensors_that_it_has(model):
+    wired = WiredBoard(model).run(0.2, 0.0)
+    wired.body = BodyTruth(0.0, ("back", "left"), ("below", "right"))
+    wired.run(0.2, 0.0)
+    contacts = wired.last(topics.CONTACTS)
+    assert (contacts.bumpers, contacts.cliffs) == (("left",), ("right",))
+
+
+@pytest.mark.parametrize("model", ["velocity", "kobuki", "create2"])
 def test_bumpers_and_cliffs_are_published_by_name_and_often(model):
     wired = WiredBoard(model).run(1.0, 0.0)
     assert 20 <= sum(key == topics.CONTACTS.key for key, _ in wired.out) <= 30

@@ -87,6 +87,14 @@ def test_motor_messages_move_nothing_and_scans_stay_messages_without_an_emulated
     assert list(sim.ports) == ["board"]
 
 
+def test_a_base_without_an_emulated_board_is_driven_and_reports_by_messages():
+    sim = simulator("room", **EMULATED, emulation={"board_model": ""})
+    sent = list(driven_by_messages(sim, 1.0, 0.4, 0.0))
+    assert told(sent, "sim/truth")[-1].distance == pytest.approx(0.4, abs=0.01)
+    assert len(told(sent, "hardware/board")) == 50
+    assert told(sent, "hardware/odometry") == []
+
+
 def test_a_simulator_of_messages_has_no_ports_hears_no_bytes_and_breaks_nothing():
     sim = simulator("room")
     assert sim.ports == {}
