@@ -98,7 +98,7 @@ class WheelFaults:
                 lagging.append(f"the {name} wheel turns at {rim_speed:.2f} m/s where {abs(speed) * radius:.2f} is told")
         if self.code or not (stuck or lagging):
             return
-        if not any_stuck and all(monitor.is_behind for monitor in self._tracking) and self._may_retry(now):
+        if not any_stuck and all(monitor.was_behind for monitor in self._tracking) and self._may_retry(now):
             return
         if stuck:
             self.latch(reasons.WHEEL_STUCK.code, f"the {' and '.join(stuck)} wheel is commanded but does not turn", now)

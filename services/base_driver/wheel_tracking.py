@@ -8,6 +8,9 @@ from pydantic import Field
 
 from shared.config import Section
 
+MIN_STEP_S = 0.015  # s; a count more or less in a shorter time is a speed error that no wheel has: see the next report
+RECENT_S = 0.1  # s; two wheels that a board leaves without commands do not catch up with the same report
+
 
 class WheelTrackingConfig(Section):
     """How far a wheel may fall behind its command."""
@@ -43,11 +46,14 @@ class WheelTrackingMonitor:
         self._stamp: int | None = None
         self._commands: deque[tuple[int, float]] = deque()  # ns, m/s: commands that may not have reached the motor
         self._angle = self._lagged = self._deficit_m = self._behind_for_s = 0.0
+        self._behind_at: int | None = None  # ns
 
     @property
-    def is_behind(self) -> bool:
-        """Whether the wheel is behind the model, but not yet a fault."""
-        return self._deficit_m > 0
+    def was_behind(self) -> bool:
+        """Whether the wheel was behind the model within RECENT_S, though not yet at fault."""
+        if self._stamp is None or self._behind_at is None:
+            return False
+        return (self._stamp - self._behind_at) * 1e-9 <= RECENT_S
 
     def update(self, stamp: int, angle: float, commanded: float, radius: float) -> float:
         """Adds a report: stamp (ns), the wheel's angle (rad), commanded speed (rad/s), the wheel's radius (m).
@@ -55,10 +61,13 @@ class WheelTrackingMonitor:
         Returns the speed at the rim, m/s and positive along the command, of a wheel that does not follow; else NaN.
         """
         config = self.config
-        before, self._stamp = self._stamp, stamp
-        travel, self._angle = (angle - self._angle) * radius, angle
+        before, command = self._stamp, commanded * radius
         elapsed = (stamp - before) * 1e-9 if before is not None else 0.0
-        command = commanded * radius
+        if 0 < elapsed < MIN_STEP_S:
+            self._commands.append((stamp, command))
+            return nan
+        self._stamp = stamp
+        travel, self._angle = (angle - self._angle) * radius, angle
         if not 0 < elapsed <= config.longest_step:
             self._lagged, self._deficit_m, self._behind_for_s = 0.0, 0.0, 0.0
             self._commands.clear()
@@ -76,6 +85,7 @@ class WheelTrackingMonitor:
         if abs(command) <= config.commanded_over or deficit <= 0:
             self._deficit_m = self._behind_for_s = 0.0
             return nan
+        self._behind_at = stamp
         self._deficit_m += deficit * elapsed
         self._behind_for_s += elapsed
         return speed if self._deficit_m > config.behind and self._behind_for_s >= config.longer_than else nan

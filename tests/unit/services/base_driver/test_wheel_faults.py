@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+from math import pi
+
 import pytest
 
 from services.base_driver.encoders import EncoderConfig, Encoders
@@ -48,6 +50,21 @@ def test_both_wheels_that_fall_behind_once_make_the_robot_stand_and_try_again(sh
     assert 0 < wheels.faults.pause_until - wheels.now <= RETRY_PAUSE_NS
     assert wheels.run(3.0, 1.0, 1.0) == ""
     assert wheels.faults.pause_until < wheels.now
+
+
+def test_both_wheels_that_fall_behind_are_found_where_reports_come_close_together():
+    """From a drive on a busy machine: the board had no command for 0.2 s, and sent reports 5 ms apart afterwards."""
+    wheels = FaultyWheels()
+    wheels.run(1.0, 1.0, 1.0)
+    wheels.run(0.14, 0.6, 0.6)
+    count = 2 * pi / DRIVE.counts_per_turn
+    for left, right in ((2, 4), (8, 6), (2, 4), (8, 6)):  # counts: as fast as before
+        wheels.now += S // 200 if left < right else S * 3 // 200
+        wheels.encoders.left += left * count
+        wheels.encoders.right += right * count
+        wheels.faults.update(wheels.now, wheels.encoders, (COMMAND_M_S, COMMAND_M_S), wheels.now)
+    assert wheels.faults.code == ""
+    assert wheels.faults.is_pausing(wheels.now)
 
 
 def test_both_wheels_that_fall_behind_again_and_again_are_a_fault_that_stays():
