@@ -52,7 +52,7 @@ def read_turned_ros_map(path: Path) -> tuple[Int8s, float, float, float, float]:
         )
         x0, y0, yaw = (float(v) for v in tree["origin"])
         negate = bool(int(tree.get("negate", 0)))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise UserError(
             f"{path}: resolution, origin, thresholds and negate must be numbers", "origin: [x, y, yaw]"
         ) from None
@@ -164,9 +164,9 @@ def _grey(image: Path, path: Path) -> tuple[UInt8s, UInt8s]:
     """Brightness (colours averaged, as map_server does) and opacity of a picture, row 0 on top."""
     from PIL import Image, UnidentifiedImageError
 
-    if image.exists() and not image.is_file():  # reading a device might not end
-        raise UserError(f"{image} is no file", "set `image` to the picture's path, from the YAML")
     try:
+        if image.exists() and not image.is_file():  # reading a device might not end
+            raise UserError(f"{image} is no file", "set `image` to the picture's path, from the YAML")
         with warnings.catch_warnings():
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             opened = Image.open(image, formats=PICTURES)

@@ -1,11 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""STOP and its release: published again until the guard confirms it."""
+"""STOP and its release: published again until the guard confirms it. Which release counts after several presses?"""
+
+from dataclasses import replace
 
 from shared.messages import EmergencyStop, GuardState, GuardStatus
 from shared.types import NS_PER_S
 
 REPEAT_NS = 100_000_000  # between two messages
 LIMIT_NS = 3 * NS_PER_S  # until it counts as unconfirmed
+
+
+def latched_press(press: EmergencyStop, before: EmergencyStop | None, now: int) -> EmergencyStop:
+    """The press that holds: no release older than its stamp counts.  before: the press that held.  now: ns.
+
+    A press that arrives late keeps the stamp of a newer one. Where the sender's clock is ahead, the arrival counts.
+    """
+    stamp = press.stamp if before is None else max(press.stamp, before.stamp)
+    return replace(press, stamp=min(stamp, now))
 
 
 class StopButton:

@@ -126,8 +126,9 @@ class KeepOut:
         self.take_polygons(keep_outs(zones))
 
     def take_polygons(self, polygons: tuple[Float64s, ...]) -> None:
-        """Replaces the zones by these, (n, 2) m in `map`."""
-        self.polygons, self._entered = polygons, frozenset()
+        """Replaces the zones by these, (n, 2) m in `map`. One that was there before and is left stays open."""
+        left, self.polygons = self.entered, polygons
+        self._entered = frozenset(i for i, p in enumerate(polygons) if any(np.array_equal(p, zone) for zone in left))
 
     def moved(self, pose: Pose2) -> bool:
         """Updates the zones for the robot's pose in `map`. Returns whether the active ones changed."""

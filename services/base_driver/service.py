@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Base driver: `cmd/vel` to motor commands, board reports to wheel angles, ranges and status; the last watchdog."""
 
-from dataclasses import replace
-
 from services.base_driver.body_sensors import BodySensors
 from services.base_driver.config import BaseDriverConfig
 from services.base_driver.diagnosis import LATCHED_FAULTS, SEPARATOR, Diagnosis
@@ -27,6 +25,7 @@ from shared.ports import PortConfig
 from shared.rejections import RejectionCause
 from shared.service import Out, Service, every, on
 from shared.stamps import FUTURE, precedes, supersedes
+from shared.stop_button import latched_press
 from shared.topics import Publication
 
 PORT = "board"
@@ -94,8 +93,8 @@ class BaseDriverService(Service):
 
         A release counts only if it is newer than the stop and the fault.
         """
-        if stop.pressed:  # the publisher's clock may be ahead: the stop counts from its arrival at the latest
-            self.pressed_stop = replace(stop, stamp=min(stop.stamp, self.now))
+        if stop.pressed:
+            self.pressed_stop = latched_press(stop, self.pressed_stop, self.now)
             yield from self._motor_commands()
         elif self.pressed_stop is None or not precedes(stop.stamp, self.pressed_stop.stamp, self.now):
             self.pressed_stop = None

@@ -5,7 +5,6 @@ The table and its order are our own. The e-stop is latched, and its release star
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 
 from pydantic import Field
 
@@ -18,6 +17,7 @@ from shared.messages import BaseStatus, Contacts, EmergencyStop, GuardState, Loc
 from shared.reasons import Reason
 from shared.rejections import Rejections
 from shared.stamps import fresh, precedes, supersedes
+from shared.stop_button import latched_press
 
 
 class StopConditionsConfig(Section):
@@ -72,8 +72,8 @@ class StopInputs:
 
     def set_estop(self, stop: EmergencyStop, now: int) -> None:
         """Latches a pressed e-stop, or releases it. After a release both sources must send zero first."""
-        if stop.pressed:  # the sender's clock may be ahead: no release older than the arrival counts
-            self.estop, self.override = replace(stop, stamp=min(stop.stamp, now)), None
+        if stop.pressed:
+            self.estop, self.override = latched_press(stop, self.estop, now), None
             return
         if self.estop is not None and precedes(stop.stamp, self.estop.stamp, now):
             return  # an older release than this press

@@ -9,7 +9,7 @@ from shared import reasons, topics
 from shared.config import Robot, Section
 from shared.geometry import Pose2
 from shared.lasers import NO_SECOND_LASER, lasers_by_topic
-from shared.messages import LaserScan, Localization, Odometry, PoseEstimate
+from shared.messages import LaserScan, Localization, Odometry, PoseEstimate, RangeReadings
 from shared.odometry_buffer import OdometryBuffer
 from shared.reasons import Reason
 from shared.rejections import RejectionCause, Rejections
@@ -40,6 +40,7 @@ class ControlInputs:
         self.odometry = OdometryBuffer(robot.drive)
         self.lasers = {topic.key: laser for topic, laser in lasers_by_topic(robot).items()}
         self.scans: dict[str, LaserScan] = {}  # by the topic's key
+        self.ranges_stamp: int | None = None  # of the newest readings of the range sensors
         self.pose: PoseEstimate | None = None
         self.restarted_at = 0  # ns, last restart of odometry: poses from before belong to another `odom`
         self.jumped_at = 0  # ns, last jump of the pose: plans from before start elsewhere
@@ -72,6 +73,18 @@ class ControlInputs:
             return None
         self.scans[key] = scan
         return self.odometry.poses(np.linspace(0.0, scan.scan_time, len(scan.ranges)), scan.stamp)
+
+    def add_ranges(self, readings: RangeReadings, rejections: Rejections, now: int) -> Pose2 | None:
+        """Takes readings of the range sensors unless their stamp is wrong.
+
+        Returns the newest pose in `odom`; None for rejected readings, or without odometry.
+        """
+        if self.odometry.latest is None:
+            return None
+        if not rejections.judge(topics.RANGES.key, readings.stamp, self.ranges_stamp, now, self.ages.scan):
+            return None
+        self.ranges_stamp = readings.stamp
+        return self.odometry.odom_from_base
 
     def add_pose(self, pose: PoseEstimate) -> None:
         """Takes a pose unless it is out of order or older than the last restart of odometry."""

@@ -113,8 +113,8 @@ class LocalCtrlService(Service):
 
     @on(topics.RANGES)
     def ranges(self, readings: RangeReadings) -> Out:
-        if len(readings.ranges) == len(self.ranges_wanted) and self.inputs.odometry.latest is not None:
-            here = self.inputs.odometry.odom_from_base
+        is_of_robot = len(readings.ranges) == len(self.ranges_wanted)
+        if is_of_robot and (here := self.inputs.add_ranges(readings, self.rejections, self.now)) is not None:
             self.costmap.recentre(here.x, here.y)
             self.costmap.add_ranges(readings, here, self.ranges_wanted, self.ranges_limits)
         return ()

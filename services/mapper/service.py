@@ -12,7 +12,7 @@ from services.mapper.localization.grid_keyframes import order_virtual_keyframes
 from services.mapper.localization.kidnap_detection import KidnapDetector
 from services.mapper.maps.map_editing import MapEditing
 from services.mapper.maps.map_file import SavedMap
-from services.mapper.maps.map_transfer import MapDownload, MapUpload, tiles_problem
+from services.mapper.maps.map_transfer import MapDownload, MapUpload, present_map_refusal, tiles_problem
 from services.mapper.maps.resume import PreviousRun, graph_checkpoint, resume_from_upload, resume_search
 from services.mapper.slam import Slam
 from services.mapper.warm_up import warm_up
@@ -20,7 +20,7 @@ from shared import requests, topics
 from shared.config import Robot
 from shared.geometry import Pose2
 from shared.messages import LaserScan, MapEdit, MapMode, MapState, MapUpdate, Odometry, OtherRobots, PoseEstimate
-from shared.reasons import BAD_REQUEST, BUSY, MAP_REFUSED
+from shared.reasons import BAD_REQUEST, MAP_REFUSED
 from shared.requests import EditMap, FetchMap, GiveMap, LoadMap, MapPart, NameMap, Reply, StartMap, Watch
 from shared.service import Answer, Checkpoint, Log, Out, Service, answer, every, on
 from shared.settings import Configuration
@@ -201,8 +201,8 @@ class MapperService(Service):
         if request.mode is MapMode.MAP:
             self.slam.start_map(self.now)
             self.scan_queue.reset()
-        elif saved is None and self.slam.is_drawing:
-            return Reply(self.now, False, BUSY.code, "the map is being redrawn")
+        elif saved is None and (refusal := present_map_refusal(self.slam, request.mode, self.now)) is not None:
+            return refusal
         elif saved is None and at is None:
             self.slam.switch_mode(request.mode)
         elif saved is None and not self.slam.has_graph:

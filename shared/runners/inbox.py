@@ -3,6 +3,7 @@
 
 import threading
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -64,6 +65,12 @@ class Inbox:
                 return None
             slot = self._order.popleft()
             return slot, slot.items.popleft()
+
+    def take_waiting(self) -> Iterator[tuple[Slot, Any]]:
+        """The items that wait now, one by one; none that comes meanwhile."""
+        for _ in range(len(self._order)):
+            if (item := self.take(0)) is not None:
+                yield item
 
     def close(self) -> None:
         """Later calls of `take` do not wait; one that waits ends by its timeout. A signal handler may call it."""

@@ -120,8 +120,11 @@ class LiveRunner:
                 log.error("%s replays the crash: zenav replay %s --through %s", path, path, self.name)
 
     def _feed(self, report: int) -> None:
-        """Handles events until `stop`. report: ns, when the first health message is due."""
-        interval = FIRST_INTERVAL_NS
+        """Handles events until `stop`. report: ns, when the first health message is due.
+
+        No tick comes twice before what waits in the inbox: one that is slower than its period would keep all out.
+        """
+        interval, ticked = FIRST_INTERVAL_NS, set[TickTimer]()
         while not self._stopping:
             self._take_raws()
             now = self.clock.now()
@@ -130,7 +133,13 @@ class LiveRunner:
                 self._report(now)
                 report, interval = now + interval, min(2 * interval, NS_PER_S)
             first = min(self._timers, key=attrgetter("due"), default=None)
+            if first in ticked and first.is_due(now):
+                ticked.clear()
+                for waiting in self.inbox.take_waiting():
+                    self._handle(*waiting)
+                continue
             if first is not None and first.is_due(now):
+                ticked.add(first)
                 first.advance(now)
                 begun = time.perf_counter()
                 self._apply(self.host.tick(self._timers.index(first), now))
@@ -140,6 +149,8 @@ class LiveRunner:
             item = self.inbox.take(min(self._patience, self.clock.seconds(until - now)))
             if item is not None:
                 self._handle(*item)
+            else:
+                ticked.clear()
 
     def _restore(self, now: int) -> None:
         """Gives the service its state before a restart: its own latched topics, and its checkpoint."""

@@ -73,6 +73,28 @@ class CancellingNavigator(Service):
         return Reply(self.now, True, "", "stopped", 7)
 
 
+class SlowNavigator(CancellingNavigator):
+    """Each tick takes longer than its period, on a clock that stands otherwise."""
+
+    def __init__(self, clock: "HandSetClock") -> None:
+        super().__init__()
+        self.clock = clock
+
+    @every(hz=10)
+    def tick(self) -> Out:
+        self.clock.time += 150_000_000
+        return ()
+
+
+class HandSetClock(StackClock):
+    def __init__(self) -> None:
+        super().__init__()
+        self.time = 1_700_000_000_000_000_000
+
+    def now(self) -> int:
+        return self.time
+
+
 class GoalListener(Service):
     def __init__(self) -> None:
         super().__init__(Section(), ROBOT)
@@ -99,10 +121,14 @@ class StopListener(Service):
 
 @contextmanager
 def running(
-    service: Service, name: str, where: transport.StackAddress, robot: str = ROBOT.name
+    service: Service,
+    name: str,
+    where: transport.StackAddress,
+    robot: str = ROBOT.name,
+    clock: StackClock | None = None,
 ) -> Iterator[LiveRunner]:
     with transport.opened(where, name) as session:
-        live = LiveRunner(service, name, robot, session, StackClock())
+        live = LiveRunner(service, name, robot, session, clock or StackClock())
         thread = threading.Thread(target=live.run)
         thread.start()
         try:
@@ -158,6 +184,15 @@ def test_a_late_joiner_has_the_goal_at_once_and_a_request_is_answered(where):
         assert decode(Reply, refused.ok.payload.to_bytes())[0].reason == "bad_request"
         with running(planner, "planner", where):
             wait_for(lambda: planner.goals == [1], planner.got)
+
+
+def test_a_service_whose_tick_takes_longer_than_its_period_still_answers(where):
+    clock = HandSetClock()
+    navigator = SlowNavigator(clock)
+    with running(navigator, "navigator", where, clock=clock), transport.opened(where) as tool:
+        payload = encode(Cancel(1), Envelope("operator", "o", 0, 1))
+        replies = list(tool.get(f"{ROBOT.name}/request/cancel", payload=payload, timeout=5.0))
+    assert len(replies) == navigator.cancelled == 1
 
 
 def test_a_stop_after_another_client_s_stop_is_asked_for_once_and_not_again_and_again(where):

@@ -29,6 +29,17 @@ def test_all_keeps_everything_in_order_and_latest_the_last(items):
     assert [n for key, n in taken if key == "scan"] == [n for key, n in items if key == "scan"][-1:]
 
 
+@given(st.integers(0, 20))
+def test_what_waits_is_taken_without_what_comes_meanwhile(n):
+    inbox = Inbox()
+    slot = inbox.slot("odom", "all")
+    for i in range(n):
+        inbox.file(slot, i)
+    for _, i in inbox.take_waiting():
+        inbox.file(slot, n + i)
+    assert [i for _, i in emptied(inbox)] == list(range(n, 2 * n))
+
+
 @given(st.integers(1, 5), st.integers(0, 30))
 def test_a_full_place_drops_its_oldest_and_counts(capacity, n):
     inbox = Inbox()

@@ -10,7 +10,7 @@ from services.mapper.maps.map_file import SavedMap, pack_map, unpack_map
 from services.mapper.slam import Slam
 from shared.config import UserError
 from shared.grid import OCCUPIED_FROM
-from shared.messages import MapUpdate, Stamp
+from shared.messages import MapMode, MapUpdate, Stamp
 from shared.reasons import BUSY, MAP_REFUSED, NO_GRAPH, NO_MAP, TRANSFER_BROKEN, Reason
 from shared.requests import MAP_PART, FetchMap, GiveMap, MapPart, Reply
 from shared.service import Answer, Job
@@ -27,6 +27,15 @@ def tiles_problem(tiles: MapUpdate) -> str | None:
     if len(rows) and (int(np.ptp(rows)) + 1) * (int(np.ptp(columns)) + 1) > MAX_TILES:
         return "the map's tiles lie too far apart to be one building"
     return None if (tiles.cells >= OCCUPIED_FROM).any() else "the map holds no occupied cell to find the robot by"
+
+
+def present_map_refusal(slam: Slam, mode: MapMode, now: Stamp) -> Reply | None:
+    """Returns why a mode cannot begin on the present map, or None: it is being redrawn, or there is none to stay."""
+    if slam.is_drawing:
+        return Reply(now, False, BUSY.code, "the map is being redrawn")
+    if mode is MapMode.LOCALISE and not slam.grid.tile_index:
+        return Reply(now, False, NO_MAP.code, "")
+    return None
 
 
 class MapDownload:

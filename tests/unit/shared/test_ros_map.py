@@ -99,6 +99,8 @@ def test_a_picture_of_sixteen_bits_has_the_same_greys(tmp_path):
         ({"resolution": 1e-300}, "resolution"),
         ({"resolution": "big"}, "must be numbers"),
         ({"origin": "[1.0e12, 0, 0]"}, "too far away"),
+        ({"resolution": "1" + "0" * 400}, "must be numbers"),
+        ({"negate": ".inf"}, "must be numbers"),
         ({"origin": "[0, 0]"}, "must be numbers"),
         ({"origin": "[0, 0, 0.5]"}, "turned"),
         ({"free_thresh": 0.9}, "free_thresh"),
@@ -119,6 +121,12 @@ def test_a_yaml_that_is_not_there_and_a_picture_that_is_cut_are_refused(tmp_path
     (tmp_path / "map.pgm").write_bytes((tmp_path / "map.pgm").read_bytes()[:200])
     with pytest.raises(UserError, match="not a whole picture"):
         read_ros_map(path)
+
+
+def test_a_picture_whose_path_the_system_refuses_is_refused_with_a_hint(tmp_path):
+    with pytest.raises(UserError, match="not a whole picture") as error:
+        read_ros_map(saved(tmp_path, image="x" * 5000))
+    assert error.value.hint
 
 
 def test_a_write_that_fails_leaves_the_old_map_whole(tmp_path, monkeypatch):

@@ -107,3 +107,16 @@ def test_a_robot_in_a_keep_out_zone_may_leave_it_and_it_holds_again_when_all_of_
     assert keep_out.moved(Pose2(1.4, 2.0))
     assert len(keep_out.holding) == 2
     assert not keep_out.moved(Pose2(1.6, 2.0))
+
+
+def test_a_zone_that_is_being_left_stays_open_where_others_change():
+    keep_out = KeepOut(0.5)
+    other = tuple((x + 10, y) for x, y in SQUARE)
+    keep_out.take(Zones(0, (zone(),)))
+    keep_out.moved(Pose2(2.1, 2.0))
+    keep_out.take(Zones(0, (zone("b", other), zone())))
+    assert not keep_out.moved(Pose2(1.6, 2.0))
+    assert [len(keep_out.holding), len(keep_out.entered)] == [1, 1]
+    assert (keep_out.entered[0] == polygon_of(zone())).all()
+    keep_out.take(Zones(0, (zone("b", other),)))
+    assert len(keep_out.entered) == 0

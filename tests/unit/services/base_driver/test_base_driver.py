@@ -305,6 +305,16 @@ def test_an_older_release_does_not_undo_a_press():
     assert bench.motors() == (0, 0)
 
 
+def test_a_late_press_of_another_client_does_not_make_a_release_count_that_is_older_than_the_newest_press():
+    bench = DriverBench().run(1.0, 0.4)
+    bench.stop(True)
+    bench.stop(True, stamp=bench.now - 500 * MS)
+    bench.stop(False, stamp=bench.now - 300 * MS)
+    assert bench.service.fault == "estop"
+    bench.stop(False)
+    assert bench.service.fault == ""
+
+
 def test_a_release_without_a_press_stops_nothing():
     bench = DriverBench().run(0.2, 0.4)
     bench.stop(False)

@@ -470,6 +470,18 @@ def test_an_older_release_does_not_undo_a_press():
     assert drive.decision == (GuardState.STOPPED, "estop")
 
 
+def test_a_late_press_of_another_client_does_not_make_a_release_count_that_is_older_than_the_newest_press():
+    drive = GuardDrive()
+    at = drive.now
+    drive.guard.now = at + 1000 * MS
+    drive.stop(True)
+    drive.call(drive.guard.estop(EmergencyStop(at + 500 * MS, True, "late")))
+    drive.call(drive.guard.estop(EmergencyStop(at + 700 * MS, False, "late")))
+    assert drive.decision == (GuardState.STOPPED, "estop")
+    drive.stop(False)
+    assert drive.decision[0] is not GuardState.STOPPED
+
+
 def test_a_release_without_a_press_stops_nothing():
     drive = driving()
     drive.stop(False)

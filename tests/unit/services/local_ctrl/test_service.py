@@ -106,6 +106,21 @@ def test_an_input_from_another_clock_is_old(stamp: int) -> None:
     assert loop.run.commands[-1].reason == reasons.SCAN_OLD.code
 
 
+@pytest.mark.parametrize(("age", "counts"), [(0.0, True), (0.2, True), (0.4, False), (1.9, False), (-3600.0, False)])
+def test_an_echo_of_another_moment_is_no_obstacle_where_the_robot_is_now(age: float, counts: bool) -> None:
+    loop = ControlLoop(ROBOT, TinyWorld(8, 4), START)
+    loop.drive(0.3)
+    loop.service.now = loop.now
+    sensors = ROBOT.ranges
+    mounts = ((s.mount.x, s.mount.y, s.mount.yaw, s.field_of_view) for s in sensors)
+    columns = np.array(list(mounts), np.float32).T.copy()
+    echoes = np.full(len(sensors), np.nan, np.float32)
+    echoes[0] = 0.8
+    list(loop.service.ranges(m.RangeReadings(loop.now - round(age * NS_PER_S), *columns, echoes)))
+    assert loop.service.costmap.echo_at.any() == counts
+    assert bool(loop.service.rejections.last_problem(topics.RANGES.key)) != counts
+
+
 @pytest.mark.parametrize("ahead", [0.25, 0.29])
 def test_scans_of_moments_that_odometry_does_not_tell_are_no_scans(ahead: float) -> None:
     loop = moving()

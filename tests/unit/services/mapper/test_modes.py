@@ -11,9 +11,10 @@ from services.mapper.back_end.map_parts import MIN_KEYFRAMES, OdometryGap
 from services.mapper.back_end.solver.optimize import optimize
 from services.mapper.localization.global_localization import PoseHypothesis
 from services.mapper.maps.map_file import pack_map, unpack_map
-from shared import requests
+from shared import reasons, requests
 from shared.geometry import Pose2, wrapped
 from shared.messages import Localization, MapMode
+from shared.requests import StartMap
 from tests.unit.services.mapper.buildings import ALIKE, Building, drives
 from tests.unit.services.mapper.rooms import LAP, RING, START, MapRequester, RoomDrive, box, laps
 from zenav.client.map_transfer import fetch_map, give_map, start_mode
@@ -112,6 +113,16 @@ def test_a_pose_far_off_the_map_is_a_wrong_one(mapped, at):
     lap.go(40)
     assert lap.state is GOOD
     assert lap.off(first)[0] < 0.1
+
+
+@pytest.mark.parametrize("at", [(), (Pose2(),)])
+def test_without_a_map_there_is_none_to_localise_on_and_mapping_goes_on(at):
+    lap = Lap()
+    reply = lap.asker.ask(requests.START_MAP, StartMap(0, MapMode.LOCALISE, 0, at))
+    assert (reply.accepted, reply.reason) == (False, reasons.NO_MAP.code)
+    lap.go(5)
+    assert lap.driven.poses[-1].mode is MapMode.MAP
+    assert len(drawn(lap).rows) > 0
 
 
 def test_what_was_just_mapped_can_be_left_as_it_is_and_the_pose_goes_on(mapped):
