@@ -123,7 +123,14 @@ class BridgeDevice:
         from services.ros2.stack_feed import StackFeed
 
         context = self._context
-        self._feed = StackFeed(self._config, context.robot, context.where, self._publish_ros, self._on_teleop)
+        self._feed = StackFeed(
+            self._config,
+            context.robot,
+            context.where,
+            publish=self._publish_ros,
+            on_teleop=self._on_teleop,
+            on_rejected=self._on_rejected,
+        )
         self._declare()
         self._publish_state(True, "")
         self._feed.start()
