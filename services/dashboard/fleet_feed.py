@@ -22,7 +22,7 @@ from shared.runners.transport import stack_address
 PERIOD_S = 0.5
 ADDRESSES_EVERY_S = 5.0
 AGAIN_S = 5.0  # between two tries to reach the router
-MAX_AT_ONCE = 32  # robots that are stopped at the same time
+MAX_AT_ONCE = 256  # robots that are stopped at the same time: one that is away holds up no other
 Rows = list[dict[str, Any]]
 
 

@@ -20,7 +20,7 @@ from zenav.console.table import show_table
 from zenav.fleet.stacks import chosen_stacks
 
 LOOK_S = 2.0  # s in which each robot that runs is heard: its status comes five times a second
-MAX_AT_ONCE = 64  # robots that are stopped at the same time
+MAX_AT_ONCE = 256  # robots that are stopped at the same time: one that is away holds up no other
 
 
 def list_robots(stacks: list[str], seconds: float, watch: bool, as_json: bool) -> int:
