@@ -121,9 +121,9 @@ class PageHubs:
         work = partial(feed.stop, order["stop"], order["pressed"], order["by"])
         confirmed, failed = await self._loop.run_in_executor(self._stopping, work)
         word = "STOP is pressed on" if order["pressed"] else "STOP is released on"
-        fields = {"t": "note", "level": "info", "text": f"{word} {', '.join(confirmed) or 'no robot'}", "hint": ""}
-        if failed:
-            text = f"STOP is not confirmed: {', '.join(failed)}"
+        fields = {"t": "note", "level": "info", "text": f"{word} {', '.join(confirmed)}", "hint": ""}
+        if failed or not confirmed:
+            text = f"STOP is not confirmed: {', '.join(failed) or 'no robot is heard'}"
             fields = {"t": "note", "level": "error", "text": text, "hint": "switch them off by hand"}
         self._reply(order["client"], fields)
 

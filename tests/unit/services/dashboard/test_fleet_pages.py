@@ -17,6 +17,7 @@ from services.dashboard.web_guard import PageUser
 from shared.codec import decode
 from shared.crossing import OUTWARD_KEYS
 from shared.requests import Watch
+from shared.robot_view import RobotView
 from shared.roles import Role
 from tests.unit.services.dashboard.pages import LOOPBACK, ROBOT, Pages
 
@@ -225,6 +226,63 @@ def test_of_many_robots_each_gets_stop_before_any_has_confirmed_it(monkeypatch):
     monkeypatch.setattr(FleetFeed, "_run", lambda self: None)
     feed = FleetFeed("tcp/127.0.0.1:1", lambda rows: None)
     assert feed.stop(names, True, "anna") == (names, {})
+
+
+class OneRobot:
+    """A fake of FleetListener that hears one robot."""
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+    def hear(self, seconds):
+        return [RobotView("red", "0")]
+
+    def ask_addresses(self):
+        pass
+
+
+def test_stop_of_all_waits_until_robots_are_heard(monkeypatch):
+    may_listen = threading.Event()
+
+    def listener(*arguments):
+        assert may_listen.wait(20.0)
+        return OneRobot()
+
+    def stop():
+        outcomes.append(feed.stop(None, True, "anna"))
+
+    outcomes = []
+    monkeypatch.setattr(fleet_feed, "FIRST_S", 20.0, raising=False)
+    monkeypatch.setattr(fleet_feed, "FleetListener", listener)
+    monkeypatch.setattr(fleet_feed, "confirm_stop_of", lambda *arguments: None)
+    feed = FleetFeed("tcp/127.0.0.1:1", lambda rows: feed.close())
+    stopping = threading.Thread(target=stop)
+    stopping.start()
+    may_listen.set()
+    stopping.join()
+    assert outcomes == [(["red"], {})]
+
+
+def test_stop_of_all_that_reaches_no_robot_is_an_error():
+    class DeafFeed(FakeFeed):
+        def stop(self, robots, press, by):
+            return [], {}
+
+    async def run() -> None:
+        hubs = PageHubs("red", FakeHub, DeafFeed)
+        _, page = await hubs.opened(PageUser("", Role.ADMIN, LOOPBACK), "")
+        hubs.take({"client": 1, "stop": None, "pressed": True, "by": "anna"})
+        while not page.frames:
+            await asyncio.sleep(0.01)
+        assert (page.frames[0]["level"], page.frames[0]["text"]) == (
+            "error",
+            "STOP is not confirmed: no robot is heard",
+        )
+
+    asyncio.run(run())
 
 
 def test_a_page_without_a_router_has_one_hub_and_no_fleet():
