@@ -4,8 +4,11 @@
 `zenav secure` writes it (zenav/secure). The gateway, the page and tools read it.
 """
 
+import fcntl
 import json
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from datetime import date
 from enum import StrEnum
@@ -15,6 +18,7 @@ from shared.config import UserError
 from shared.roles import Role
 
 FOLDER_MODE, FILE_MODE = 0o700, 0o600
+LOCK_FILE = "folder.lock"
 RENEWAL_DAYS = 30
 """before its end a certificate is renewed, or its user is warned."""
 
@@ -137,6 +141,25 @@ class SecureFolder:
         except (OSError, ValueError, TypeError, KeyError):
             raise UserError(f"{self.robot_file} cannot be read", "make it again: zenav secure renew") from None
 
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Waits until no other process changes the folder, and holds it while the block runs, which may not nest.
+
+        What a change depends on is read inside. The kernel releases the lock of a killed process. Raises UserError
+        where the folder cannot be written.
+        """
+        file = self.path / LOCK_FILE
+        try:
+            self.path.mkdir(mode=FOLDER_MODE, parents=True, exist_ok=True)
+            lock = os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, FILE_MODE)
+        except OSError as error:
+            raise _unwritable(file, error) from None
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            yield
+        finally:
+            os.close(lock)
+
     def write_members(self, members: list[Member]) -> None:
         """Replaces the list."""
         self.write(self.members_file, json.dumps([asdict(member) for member in members], indent=1).encode())
@@ -153,8 +176,12 @@ class SecureFolder:
                 os.fsync(stream.fileno())
             partial.replace(file)
         except OSError as error:
-            hint = "run it as the user of the robot, or name another folder: --dir, or ZENAV_SECURE"
-            raise UserError(f"{file} cannot be written: {error.strerror}", hint) from None
+            raise _unwritable(file, error) from None
+
+
+def _unwritable(file: Path, error: OSError) -> UserError:
+    hint = "run it as the user of the robot, or name another folder: --dir, or ZENAV_SECURE"
+    return UserError(f"{file} cannot be written: {error.strerror}", hint)
 
 
 def secure_folder(given: str = "") -> SecureFolder:

@@ -21,8 +21,9 @@ from shared.runners.transport import stack_address
 
 PERIOD_S = 0.5
 ADDRESSES_EVERY_S = 5.0
+FIRST_S = 3.0  # for which STOP of all robots waits until the first is heard
 AGAIN_S = 5.0  # between two tries to reach the router
-MAX_AT_ONCE = 32  # robots that are stopped at the same time
+MAX_AT_ONCE = 256  # robots that are stopped at the same time: one that is away holds up no other
 Rows = list[dict[str, Any]]
 
 
@@ -33,6 +34,7 @@ class FleetFeed:
         self._router, self._deliver = router, deliver
         self._ending = threading.Event()
         self._names: list[str] = []
+        self._has_names = threading.Event()
         self._thread = threading.Thread(target=self._run, name="fleet", daemon=True)
         self._thread.start()
 
@@ -41,10 +43,12 @@ class FleetFeed:
         self._ending.set()
 
     def stop(self, robots: list[str] | None, press: bool, by: str) -> tuple[list[str], dict[str, str]]:
-        """Presses STOP of robots, or releases it; None: of all that were heard. It blocks for 3 s at most.
+        """Presses STOP of robots, or releases it; None: of all that were heard. It blocks for some seconds at most.
 
         Returns the names of those that confirmed it, and by name why others did not.
         """
+        if robots is None:  # a page from before a restart asks before the robots are heard again
+            self._has_names.wait(FIRST_S)
         names, where = robots if robots is not None else list(self._names), stack_address(self._router)
 
         def one(name: str) -> str:
@@ -74,6 +78,8 @@ class FleetFeed:
                 fleet.ask_addresses()
                 asked = time.monotonic()
             self._names = [view.name for view in views]
+            if views:
+                self._has_names.set()
             self._deliver([fleet_row(view, time.monotonic()) for view in views])
 
 

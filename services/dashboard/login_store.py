@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The files of invitations and sessions. `zenav page` writes them too, so each change holds a lock of the folder."""
 
-import fcntl
 import json
-import os
 import secrets
 import time
 from collections.abc import Callable, Iterator
@@ -14,9 +12,7 @@ from pathlib import Path
 from services.dashboard.logins import TOKEN_BYTES, Login, LoginBook, match
 from shared.config import UserError
 from shared.roles import Role
-from shared.secure_folder import FILE_MODE, FOLDER_MODE, SecureFolder
-
-LOCK_FILE = "logins.lock"
+from shared.secure_folder import SecureFolder
 
 
 class LoginStore:
@@ -94,13 +90,8 @@ class LoginStore:
     @contextmanager
     def _locked(self) -> Iterator[LoginBook]:
         """The book, which no other process changes meanwhile."""
-        self._folder.path.mkdir(mode=FOLDER_MODE, parents=True, exist_ok=True)
-        lock = os.open(self._folder.path / LOCK_FILE, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, FILE_MODE)
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX)
+        with self._folder.locked():
             yield self.book()
-        finally:
-            os.close(lock)
 
 
 def _read(file: Path) -> tuple[Login, ...]:

@@ -172,8 +172,13 @@ class PageHub:
         if len(ended) < len(users):
             self._watching = self._loop.call_later(WATCH_SESSIONS_S, self._watch_sessions)
 
+    @property
+    def is_in_use(self) -> bool:
+        """Whether a page is open, or opens."""
+        return bool(self._pages) or self._n_opening > 0
+
     async def close(self) -> None:
-        """Ends everything."""
+        """Ends everything but the tools, which hubs share."""
         if self._watching is not None:
             self._watching.cancel()
         for page in list(self._pages.values()):
@@ -182,7 +187,6 @@ class PageHub:
             task.cancel()
         if self._closing is not None:
             self._closing.cancel()
-        await self.tools.close()
         await self._loop.run_in_executor(self._one, self.link.close)
         self._one.shutdown(wait=False, cancel_futures=True)
         self._asking.shutdown(wait=False, cancel_futures=True)
@@ -232,7 +236,7 @@ class PageHub:
 
     def _close_link(self) -> None:
         self._closing = None
-        if self._pages or self._n_opening:
+        if self.is_in_use:
             return
         self._start(self._in_order(self.link.close))
 

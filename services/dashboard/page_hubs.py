@@ -6,7 +6,7 @@ All methods run on the loop of the shell's thread.
 
 import asyncio
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import count
@@ -16,10 +16,11 @@ import msgpack
 
 from services.dashboard.fleet_feed import FleetFeed, Rows
 from services.dashboard.page_connection import PageConnection
-from services.dashboard.page_hub import PageHub
+from services.dashboard.page_hub import LINGER_S, PageHub
 from services.dashboard.web_guard import PageUser
 
-MAX_HUBS = 100
+MAX_STOPS = 256
+"""orders of STOP and of its release at once, each on a thread: more than there can be pages. None waits for another."""
 ROBOT_NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 MakeHub = Callable[[str, Any], PageHub]
 """Makes the hub of a robot with the numbers of its connections."""
@@ -39,7 +40,7 @@ class PageHubs:
         self._rows = b""  # the newest frame
         self._under_way: set[tuple[tuple[str, ...], bool]] = set()
         self._tasks: set[asyncio.Task[None]] = set()
-        self._stopping = ThreadPoolExecutor(4, thread_name_prefix="stop")
+        self._stopping = ThreadPoolExecutor(MAX_STOPS, thread_name_prefix="stop")
 
     async def opened(self, user: PageUser, robot: str) -> tuple[PageHub, PageConnection]:
         """A page has connected, which shows a robot."""
@@ -52,8 +53,10 @@ class PageHubs:
         return hub, page
 
     def closed(self, hub: PageHub, page: PageConnection) -> None:
-        """A page is gone. The feed ends with the last one."""
+        """A page is gone. The feed ends with the last one, and a hub some time after its last one."""
         hub.closed(page)
+        if not hub.is_in_use:
+            self._loop.call_later(LINGER_S, self._remove_unused)
         if self._feed is not None and not any(hub.pages for hub in self._hubs.values()):
             self._feed.close()
             self._feed, self._rows = None, b""
@@ -62,9 +65,7 @@ class PageHubs:
         """A frame or an order of the core."""
         client = order.get("client")
         if "stop" in order:
-            task = self._loop.create_task(self._stop(order))
-            self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
+            self._start(self._stop(order))
             return
         for hub in list(self._hubs.values()):
             if client is None or any(page.client == client for page in hub.pages):
@@ -86,13 +87,25 @@ class PageHubs:
         self._stopping.shutdown(wait=False, cancel_futures=True)
         for hub in self._hubs.values():
             await hub.close()
+        await self.first.tools.close()
 
     def _hub(self, robot: str) -> PageHub:
         known = self._hubs.get(robot)
-        if known is not None or not self._is_site or not ROBOT_NAME.fullmatch(robot) or len(self._hubs) >= MAX_HUBS:
+        if known is not None or not self._is_site or not ROBOT_NAME.fullmatch(robot):
             return known or self.first
         hub = self._hubs[robot] = self._make_hub(robot, self._numbers)
         return hub
+
+    def _remove_unused(self) -> None:
+        for robot, hub in list(self._hubs.items()):
+            if hub is not self.first and not hub.is_in_use:
+                del self._hubs[robot]
+                self._start(hub.close())
+
+    def _start(self, work: Coroutine[Any, Any, None]) -> None:
+        task = self._loop.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
 
     async def _stop(self, order: dict[str, Any]) -> None:
         key = tuple(order["stop"] or ()), order["pressed"]
@@ -108,9 +121,9 @@ class PageHubs:
         work = partial(feed.stop, order["stop"], order["pressed"], order["by"])
         confirmed, failed = await self._loop.run_in_executor(self._stopping, work)
         word = "STOP is pressed on" if order["pressed"] else "STOP is released on"
-        fields = {"t": "note", "level": "info", "text": f"{word} {', '.join(confirmed) or 'no robot'}", "hint": ""}
-        if failed:
-            text = f"STOP is not confirmed: {', '.join(failed)}"
+        fields = {"t": "note", "level": "info", "text": f"{word} {', '.join(confirmed)}", "hint": ""}
+        if failed or not confirmed:
+            text = f"STOP is not confirmed: {', '.join(failed) or 'no robot is heard'}"
             fields = {"t": "note", "level": "error", "text": text, "hint": "switch them off by hand"}
         self._reply(order["client"], fields)
 

@@ -110,7 +110,7 @@ class WebDevice:
         def csrf(digest: str) -> str:
             return hmac.new(key, digest.encode(), "sha256").hexdigest()
 
-        access = Access(self.address, self._section.login, store.session, csrf)
+        access = Access(lambda: self.address, self._section.login, store.session, csrf)
         context, is_site = self._context, self._section.fleet
 
         def make_hub(robot: str, numbers: Iterator[int]) -> PageHub:
@@ -161,16 +161,21 @@ class WebDevice:
         self._publish(topics.RX(SerialData(self._context.clock.now(), PORT, bytes(msgpack.packb(event)))))
 
     async def _renew_certificate(self) -> None:
-        """Shows a certificate that was renewed on disk to new connections, and reports when the present one ends."""
+        """Shows a certificate that was renewed on disk to new connections, and reports when the present one ends.
+
+        Its names count from then on.
+        """
         certificate = self.address.certificate
         while self._tls is not None and certificate is not None:
             until = round(certificate.until) * NS_PER_S
             self._publish_event({"client": None, "event": "certificate", "until": until})
             await asyncio.sleep(RENEW_EVERY_S)
             with suppress(UserError):  # the present one goes on; the health shows its end
-                renewed = page_address(self._section, self._context.where).certificate or certificate
-                renewed.load_into(self._tls)
-                certificate = renewed
+                renewed = page_address(self._section, self._context.where)
+                if renewed.certificate is not None:
+                    renewed.certificate.load_into(self._tls)
+                    certificate = renewed.certificate
+                    self.address = self.address._replace(certificate=certificate, hosts=renewed.hosts)
 
     def _publish_state(self, is_open: bool, detail: str) -> None:
         if self._state != (is_open, detail):

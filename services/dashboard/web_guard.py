@@ -64,11 +64,11 @@ class Refusal(NamedTuple):
 class Access:
     """Which requests may pass.
 
-    login: "remote" or "always".  session: the session of a cookie's token.  csrf: the token of a session's pages, by
-    its digest.
+    address: the present one, whose names change with the certificate.  login: "remote" or "always".
+    session: the session of a cookie's token.  csrf: the token of a session's pages, by its digest.
     """
 
-    address: PageAddress
+    address: Callable[[], PageAddress]
     login: str
     session: Callable[[str], Login | None]
     csrf: Callable[[str], str]
@@ -85,7 +85,7 @@ class Access:
     def refusal(self, scope: Scope, headers: dict[bytes, bytes], user: PageUser | None) -> Refusal | None:
         """Why a request is refused; None where it is not."""
         host = host_of(headers)
-        if not is_named(host, (*LOCAL_NAMES, *self.address.hosts)):
+        if not is_named(host, (*LOCAL_NAMES, *self.address().hosts)):
             return Refusal(403, "this page does not answer by this name: see dashboard.hosts")
         origin = headers.get(b"origin")
         if origin is not None and origin.decode("latin-1") != f"{self._scheme(host)}://{host}":
@@ -103,7 +103,7 @@ class Access:
 
     def _scheme(self, host: str) -> str:
         # a reverse proxy has the certificate for names that are not this computer's own
-        return self.address.scheme if is_named(host, LOCAL_NAMES) else "https"
+        return self.address().scheme if is_named(host, LOCAL_NAMES) else "https"
 
 
 class WebGuard:

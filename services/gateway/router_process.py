@@ -4,9 +4,11 @@
 import json
 import os
 import secrets
+import socket
 import subprocess
 import sys
 import threading
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import IO
@@ -14,6 +16,8 @@ from typing import IO
 from services.gateway.log_lines import LOG_FILTER, LineReader, LinkLine
 
 END_LIMIT_S = 2.0
+MAX_RECORD = 2**16  # bytes; what is longer has a long key, whose end is left out
+N_ERRORS = 20  # lines of its stderr, of which the last are kept
 COMMAND = (sys.executable, "-P", "-m", "services.gateway.router")
 
 
@@ -28,19 +32,29 @@ class RouterProcess:
         environment = {**os.environ, "RUST_LOG": LOG_FILTER}  # noqa: TID251  # Zenoh reads its log's level from there
         pipe = subprocess.PIPE
         command = [*inside, *COMMAND]
-        self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True, env=environment)
+        self._records, records = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with records:
+            self._process = subprocess.Popen(
+                command, stdin=pipe, stdout=records.fileno(), stderr=pipe, text=True, errors="replace", env=environment
+            )
         assert self._process.stdin is not None
         with suppress(BrokenPipeError):
             self._process.stdin.write(json.dumps({**order, "mark": mark}) + "\n")
             self._process.stdin.flush()
-        self._reader = threading.Thread(target=self._read, args=(self._process.stdout, mark), daemon=True)
-        self._reader.start()
+        self._errors: deque[str] = deque(maxlen=N_ERRORS)
+        self._readers = (
+            threading.Thread(target=self._read, args=(mark,), daemon=True),
+            threading.Thread(target=self._read_errors, args=(self._process.stderr,), daemon=True),
+        )
+        for reader in self._readers:
+            reader.start()
 
     def failure(self) -> str:
         """Why it has ended; empty while it runs."""
         if self._process.poll() is None:
             return ""
-        why = self._process.stderr.read().strip() if self._process.stderr is not None else ""
+        self._readers[1].join(END_LIMIT_S)
+        why = "".join(self._errors).strip()
         return why or f"the router's process ended with {self._process.returncode}"
 
     def end(self) -> None:
@@ -51,14 +65,21 @@ class RouterProcess:
             self._process.wait(END_LIMIT_S)
         self._process.kill()
         self._process.wait()
-        self._reader.join(END_LIMIT_S)
-        for stream in (self._process.stdout, self._process.stderr):
-            if stream is not None:
-                stream.close()
+        for reader in self._readers:
+            reader.join(END_LIMIT_S)
+        self._records.close()
+        if self._process.stderr is not None:
+            self._process.stderr.close()
 
-    def _read(self, stream: IO[str], mark: str) -> None:
+    def _read(self, mark: str) -> None:
+        """Takes the records: each write of the process is one, whatever line breaks it holds."""
         lines = LineReader(mark)
-        with suppress(ValueError):  # it was closed
-            for line in stream:
-                if (event := lines.read(line)) is not None:
+        with suppress(OSError):  # it was closed
+            while record := self._records.recv(MAX_RECORD):
+                if (event := lines.read(record.decode(errors="replace"))) is not None:
                     self._take(event)
+
+    def _read_errors(self, stream: IO[str] | None) -> None:
+        """Keeps the last lines. A pipe that is not read would hold the process up."""
+        with suppress(ValueError):  # it was closed
+            self._errors.extend(stream or ())

@@ -34,6 +34,8 @@ from services.ros2.zenav_command import run_command
 from shared import topics
 from shared.config import UserError
 from shared.messages import PortState, SerialData
+from shared.reasons import BUSY
+from shared.runners.client import refusal
 from shared.runners.devices import DeviceContext
 from shared.topics import Publication
 
@@ -47,6 +49,7 @@ MIN_INTERVAL_S = 0.02  # between two messages of one topic for the core: 50 a se
 ROBOT_INTERVAL_S = 0.004  # the same of a robot's sensors: some have odometry of 100 Hz, and messages come unevenly
 N_TRANSFORMS = 16  # messages of /tf that wait: it has several publishers, and one of them has the odometry
 N_TARGET = 4  # arguments that name robot and stack; the others are settings
+N_KIND = 2  # words of a command that say what it does, as `map save`
 MAX_KINDS = 100  # of rejections that one report distinguishes
 
 
@@ -70,6 +73,7 @@ class BridgeDevice:
         self._counts: Counter[tuple[str, str]] = Counter()
         self._events: list[dict[str, Any]] = []
         self._orders: list[dict[str, Any]] = []
+        self._running: set[tuple[str, ...]] = set()  # commands of zenav, without the map's name
         self._state: tuple[bool, str] | None = None
         self._endpoints: dict[tuple[str, Entity], list[tuple[RosName, Qos]]] = {}  # ours, by name and kind of theirs
         self._mismatches: set[str] = set()
@@ -119,7 +123,14 @@ class BridgeDevice:
         from services.ros2.stack_feed import StackFeed
 
         context = self._context
-        self._feed = StackFeed(self._config, context.robot, context.where, self._publish_ros, self._on_teleop)
+        self._feed = StackFeed(
+            self._config,
+            context.robot,
+            context.where,
+            publish=self._publish_ros,
+            on_teleop=self._on_teleop,
+            on_rejected=self._on_rejected,
+        )
         self._declare()
         self._publish_state(True, "")
         self._feed.start()
@@ -203,8 +214,7 @@ class BridgeDevice:
         elif "reply" in order:
             self._wire.reply(order["reply"], order["data"])
         elif "tool" in order:
-            arguments = (tuple(order["tool"]), order["id"])
-            threading.Thread(target=self._run_tool, args=arguments, daemon=True).start()
+            self._start_tool(tuple(order["tool"]), order["id"])
         elif "ask" in order:
             number = order["id"]
             self._feed.ask(order["ask"], order["payload"], lambda outcome: self._on_outcome(number, outcome))
@@ -272,9 +282,22 @@ class BridgeDevice:
     def _on_outcome(self, number: int, outcome: dict[str, Any]) -> None:
         self._file({"event": "outcome", "id": number, **outcome})
 
+    def _start_tool(self, command: tuple[str, ...], number: int) -> None:
+        """A command of zenav, on a thread of its own. Each is a process: a second one of its kind is refused."""
+        with self._changed:
+            is_running = command[:N_KIND] in self._running
+            self._running.add(command[:N_KIND])
+        if is_running:
+            self._on_outcome(number, refusal(BUSY.code, BUSY.text, BUSY.hint))
+        else:
+            threading.Thread(target=self._run_tool, args=(command, number), daemon=True).start()
+
     def _run_tool(self, command: tuple[str, ...], number: int) -> None:
-        """A command of zenav, on a thread of its own."""
-        error = run_command(*command, *self._context.arguments[:N_TARGET]).error
+        try:
+            error = run_command(*command, *self._context.arguments[:N_TARGET]).error
+        finally:
+            with self._changed:
+                self._running.discard(command[:N_KIND])
         self._on_outcome(number, {"accepted": not error, "reason": "", "detail": error, "hint": ""})
 
     def _file(self, event: dict[str, Any]) -> None:

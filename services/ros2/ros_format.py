@@ -13,7 +13,8 @@ TWIST_BYTES = 52  # of a geometry_msgs/Twist in CDR; a TwistStamped is longer
 class Attachment(NamedTuple):
     """What comes with a message or request: its number, the 16 bytes of its sender, ns on its clock when it was sent.
 
-    The DDS bridge has none of them: 0, no bytes, None.
+    The DDS bridge has none of them: 0, no bytes, None. It sends what several nodes publish in one stream, so they count
+    as one node that drives.
     """
 
     sequence: int

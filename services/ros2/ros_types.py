@@ -5,6 +5,7 @@ A service X has X_Request, X_Response and, for the hash only, X_Event. An action
 services X_SendGoal and X_GetResult, and X_FeedbackMessage. Source: rosidl_parser/definition.py, REP 2011, REP 2016.
 """
 
+import struct
 from enum import StrEnum
 from functools import cache
 from typing import Any
@@ -56,8 +57,11 @@ class RosTypes:
         return NO_HASH if self.distro is Distro.HUMBLE else self._store.hash_rihs01(type_)
 
     def encode(self, message: Any) -> bytes:
-        """A message as CDR, little-endian, with its header."""
-        return bytes(self._store.serialize_cdr(message, message.__msgtype__))
+        """A message as CDR, little-endian, with its header. Raises ValueError where a number does not fit its field."""
+        try:
+            return bytes(self._store.serialize_cdr(message, message.__msgtype__))
+        except struct.error as error:  # as the seconds of a stamp after 2038, which have 32 bits
+            raise ValueError(f"{message.__msgtype__}: {error}") from None
 
     def decode(self, data: bytes, type_: str) -> Any:
         """A message of CDR. Raises ValueError where the bytes are none."""

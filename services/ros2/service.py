@@ -26,7 +26,7 @@ from services.ros2.robot_input import ROBOT_TOPICS, ClockDoubtError, RobotInput
 from services.ros2.ros_types import RosTypes, ros_types
 from services.ros2.sender_clocks import SenderClocks
 from services.ros2.service_calls import BY, ServiceCalls
-from services.ros2.task_requests import Done, logged_refusal
+from services.ros2.task_requests import Done, PendingOutcomes, logged_refusal
 from shared import requests, topics
 from shared.codec import Envelope, encode
 from shared.config import Robot
@@ -56,7 +56,6 @@ class Loaded(NamedTuple):
 MAX_VELOCITY_AGE_S, MAX_AGE_S = 0.3, 2.0
 """of a velocity and of other messages, by their publisher's clock: an older one is from before a broken link."""
 ROBOT_NAMES = frozenset(row.name for row in ROBOT_TOPICS)
-MAX_ASKS = 64  # requests to the stack without an outcome; then the oldest is forgotten
 
 
 class Ros2Service(Service):
@@ -70,8 +69,7 @@ class Ros2Service(Service):
         self.teleop = TeleopStream(config.teleop_hold)
         self.is_open, self.detail = False, ""
         self.mode = MapMode.MAP
-        self._asks: dict[int, Done] = {}
-        self._n_asks = 0
+        self._pending = PendingOutcomes()
         self.sender_clocks = SenderClocks()
         self._logged: dict[str, int] = {}  # ns, of the last line on a name: a flood is one line a second
         self._loaded: Loaded | None = None
@@ -160,7 +158,7 @@ class Ros2Service(Service):
             elif kind == "request":
                 yield from self._request(name, event["id"], event["data"])
             elif kind == "outcome":
-                done = self._asks.pop(event["id"], None)
+                done = self._pending.take(event["id"])
                 if done is not None:
                     yield from done({**event, "now": self.now})
             elif kind == "other_teleop":
@@ -191,11 +189,13 @@ class Ros2Service(Service):
             yield from _teleop(self.teleop.take(driver, BY, *velocity(message), self.now))
         elif name == incoming.GOAL_POSE:
             pose = pose_in_map(message.header, message.pose, make.frames.map)
-            yield self._ask(requests.NAVIGATE, Navigate(self.now, (pose,), 0.0, 1, False), logged_refusal("goal"))
+            goal = Navigate(self.now, (pose,), 0.0, 1, False)
+            yield self._ask(requests.NAVIGATE, goal, logged_refusal("goal"), name)
         elif name == incoming.INITIAL_POSE:
             pose = pose_in_map(message.header, message.pose.pose, make.frames.map)
             mode = MapMode.LOCALISE if self.mode is MapMode.LOCALISE else MapMode.CONTINUE
-            yield self._ask(requests.START_MAP, StartMap(self.now, mode, 0, (pose,)), logged_refusal("initial pose"))
+            start = StartMap(self.now, mode, 0, (pose,))
+            yield self._ask(requests.START_MAP, start, logged_refusal("initial pose"), name)
 
     def _request(self, name: str, number: int, data: bytes) -> Out:
         ros = self._ros
@@ -207,20 +207,12 @@ class Ros2Service(Service):
             yield reply_order(self.now, number, b"")
             raise
 
-    def _ask(self, row: Request[Any, Any], message: Message, done: Done) -> Publication:
-        number = self._noted(done)
+    def _ask(self, row: Request[Any, Any], message: Message, done: Done, topic: str = "") -> Publication:
+        number = self._pending.add(done, topic)
         return ask_order(self.now, number, row.key, encode(message, Envelope(self.name, "", number, self.now)))
 
     def _ask_tool(self, command: tuple[str, ...], done: Done) -> Publication:
-        return tool_order(self.now, self._noted(done), command)
-
-    def _noted(self, done: Done) -> int:
-        """The number of an order, whose outcome `done` gets."""
-        self._n_asks += 1
-        self._asks[self._n_asks] = done
-        if len(self._asks) > MAX_ASKS:
-            del self._asks[min(self._asks)]
-        return self._n_asks
+        return tool_order(self.now, self._pending.add(done), command)
 
     def _let_go(self) -> Out:
         driver = self.teleop.arbiter.driver

@@ -43,7 +43,10 @@ Payload = tuple[str, bytes, bool]
 
 
 class StackFeed:
-    """See the module. publish: sends CDR under a name of OUTGOING.  on_teleop: called while another tool drives."""
+    """See the module. publish: sends CDR under a name of OUTGOING.  on_teleop: called while another tool drives.
+
+    on_rejected: called with a name of OUTGOING, and why a message does not go out.
+    """
 
     def __init__(
         self,
@@ -52,8 +55,10 @@ class StackFeed:
         where: StackAddress,
         publish: Callable[[str, bytes], None],
         on_teleop: Callable[[], None],
+        on_rejected: Callable[[str, str], None],
     ) -> None:
         self._robot, self._where, self._publish, self._on_teleop = robot, where, publish, on_teleop
+        self._on_rejected = on_rejected
         self._types = ros_types(config.distro)
         make = RosMessages(self._types.types, config.stack_frames)
         robot_odom = config.ros_frames.odom if config.drives else ""
@@ -193,7 +198,16 @@ class StackFeed:
         topic = topic_of(key)
         if topic is not None:
             for name, made in converted(self._state, names, topic, message, publisher):
-                self._publish(name, self._types.encode(made))
+                self._send(name, made)
+
+    def _send(self, name: str, made: Any) -> None:
+        """A message of ROS. One that its type cannot hold is left out."""
+        try:
+            data = self._types.encode(made)
+        except ValueError as error:
+            self._on_rejected(name, str(error))
+            return
+        self._publish(name, data)
 
     def _tick(self) -> None:
         if self._client is None:
@@ -202,7 +216,7 @@ class StackFeed:
         if MAP_NAME in self._served:
             grid = self._state.map.due(now)
             if grid is not None:
-                self._publish(MAP_NAME, self._types.encode(grid))
+                self._send(MAP_NAME, grid)
         if PLACES_NAME in self._served:
             self._read_places(now)
         rows = {WATCHED[key] for key in WATCHED.keys() & self._endings.keys()}
@@ -224,8 +238,7 @@ class StackFeed:
             self._places_thread.start()
 
     def _send_places(self, map_name: str, now: int) -> None:
-        markers = place_markers(self._state.make, saved_places(map_name), now)
-        self._publish(PLACES_NAME, self._types.encode(markers))
+        self._send(PLACES_NAME, place_markers(self._state.make, saved_places(map_name), now))
 
     def _watch(self, client: Client, row: WatchRequest, request: Watch) -> None:
         try:

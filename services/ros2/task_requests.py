@@ -17,6 +17,35 @@ AskStack = Callable[[Request[Any, Any], Message, Done], Publication]
 """Makes the order of a request to the stack."""
 AskTool = Callable[[tuple[str, ...], Done], Publication]
 """Makes the order of a command of zenav, by its arguments."""
+MAX_PENDING = 128  # more than the requests that the wire lets wait for a reply; then the oldest is forgotten
+
+
+class PendingOutcomes:
+    """Requests to the stack and commands that have no outcome yet, by their numbers."""
+
+    def __init__(self) -> None:
+        self._done: dict[int, Done] = {}
+        self._newest: dict[str, int] = {}  # number by the topic that caused the request
+        self._n = 0
+
+    def add(self, done: Done, topic: str = "") -> int:
+        """The number of an order, whose outcome `done` gets.
+
+        topic: whose message caused it. Such a request has no reply, so only the outcome of the newest one counts.
+        A flood of messages does not displace requests that a node waits for.
+        """
+        self._n += 1
+        if topic:
+            self._done.pop(self._newest.get(topic, 0), None)
+            self._newest[topic] = self._n
+        self._done[self._n] = done
+        if len(self._done) > MAX_PENDING:
+            del self._done[min(self._done)]
+        return self._n
+
+    def take(self, number: int) -> Done | None:
+        """What gets the outcome of an order; None where it is forgotten. It gets one outcome only."""
+        return self._done.pop(number, None)
 
 
 def task_request(name: str, now: int) -> tuple[Request[Any, Any], Message]:

@@ -73,6 +73,7 @@ class Client:
         self._time = Timekeeper()
         self._latest: dict[str, tuple[Message, Envelope, float]] = {}
         self._sequences: dict[str, int] = {}
+        self._publishing = threading.Lock()  # messages of a key leave in the order of their numbers
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._declared: list[Any] = []
         self.session_name = f"{time.time_ns():x}-{os.getpid():x}"
@@ -91,17 +92,21 @@ class Client:
         return self._time.now(time.time_ns(), time.monotonic())
 
     def publish(self, publication: Publication, publisher: str = "operator") -> None:
-        """Publishes as `operator`, or in the place of a service. Raises UserError where the message is too large."""
+        """Publishes as `operator`, or in the place of a service. From any thread.
+
+        Raises UserError where the message is too large.
+        """
         key = key_of(publication.topic, publisher)
-        if key not in self._publishers:
-            self._publishers[key] = self.session.declare_publisher(
-                f"{self.robot}/{key}",
-                congestion_control=zenoh.CongestionControl.DROP,
-                priority=zenoh.Priority.REAL_TIME,
-            )
-        sequence = self._sequences[key] = self._sequences.get(key, -1) + 1
-        envelope = Envelope(publisher, self.session_name, sequence, self.now())
-        self._publishers[key].put(_sized(key, encode(publication.message, envelope)))
+        with self._publishing:
+            if key not in self._publishers:
+                self._publishers[key] = self.session.declare_publisher(
+                    f"{self.robot}/{key}",
+                    congestion_control=zenoh.CongestionControl.DROP,
+                    priority=zenoh.Priority.REAL_TIME,
+                )
+            sequence = self._sequences[key] = self._sequences.get(key, -1) + 1
+            envelope = Envelope(publisher, self.session_name, sequence, self.now())
+            self._publishers[key].put(_sized(key, encode(publication.message, envelope)))
 
     def put_raw(self, key: str, payload: bytes) -> None:
         """Publishes bytes as they are. key: with the robot's name."""

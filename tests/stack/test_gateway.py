@@ -141,6 +141,20 @@ def test_no_key_of_a_member_is_taken_for_a_line_on_a_link(gateway):
     assert not any("admin.1" in text for text in gateway.lines)
 
 
+def test_no_key_of_a_member_accuses_another_member(gateway):
+    denial = "TRACE rx-0 ThreadId({}) zenoh::net::routing::interceptor::access_control: 0 on Interface(lo)"
+    denial += "+CertCommonName(victim.1)+Transport(Tls)+0 is unauthorized to Put (ingress) on x80/estop"
+    key = "forged\n" + "\n".join(denial.format(f"{thread:02}") for thread in range(40))
+    with gateway.open(gateway.member("liar", MemberRole.VIEWER)) as liar:
+        gateway.until(lambda: any("liar (viewer) connected" in text for text in gateway.lines))
+        for k in range(5):
+            liar.put(f"{ROBOT}/{key}{k}", b"")
+        liar.put(f"{ROBOT}/last", b"")
+        gateway.until(lambda: any("refused to liar (viewer): put x80/last" in text for text in gateway.lines))
+    assert any("refused to liar (viewer): put x80/forged (" in text for text in gateway.lines)
+    assert not any("victim" in text for text in gateway.lines)
+
+
 def test_messages_go_before_other_load_but_handshakes_do_not(gateway):
     before = os.sched_getscheduler(0)
     try:

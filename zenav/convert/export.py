@@ -17,6 +17,7 @@ from ruamel.yaml import YAML
 
 from shared.codec import Envelope, encode
 from shared.config import UserError, nearest
+from shared.file_modes import FILE_MODE, FOLDER_MODE
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
 from shared.messages import LaserScan, MapUpdate, Odometry, PoseEstimate, Truth
@@ -73,6 +74,7 @@ def convert(
             counts = chosen.write(Conversion(source, content, fresh, trajectory, progress))
             if not sum(counts.values()):
                 raise UserError(f"{source}: nothing in it for {chosen.about}", content.lacks or "take another format")
+            _close_to_others(fresh)
             if (fresh / "map.yaml").is_file() and (out / "map.yaml").is_file():
                 _put_map(fresh, out)
             else:
@@ -115,6 +117,12 @@ def _check(source: Path, out: Path, force: bool) -> None:
     check_not_written(out)
     if out.is_dir() and not any((out / name).is_file() for name in ("metadata.yaml", "map.yaml")):
         raise UserError(f"{out} is a folder, and neither a bag nor a map", "choose another name: it stays")
+
+
+def _close_to_others(fresh: Path) -> None:
+    """Gives a new file, or a folder and what is in it, the modes of shared/file_modes.py: packages have their own."""
+    for path in (fresh, *fresh.rglob("*")):
+        path.chmod(path.stat().st_mode & (FOLDER_MODE if path.is_dir() else FILE_MODE))
 
 
 def _put(fresh: Path, out: Path) -> None:

@@ -20,7 +20,7 @@ from zenav.console.table import show_table
 from zenav.fleet.stacks import chosen_stacks
 
 LOOK_S = 2.0  # s in which each robot that runs is heard: its status comes five times a second
-MAX_AT_ONCE = 64  # robots that are stopped at the same time
+MAX_AT_ONCE = 256  # robots that are stopped at the same time: one that is away holds up no other
 
 
 def list_robots(stacks: list[str], seconds: float, watch: bool, as_json: bool) -> int:
@@ -47,24 +47,23 @@ def stop_robots(stacks: list[str], names: Sequence[str], every: bool) -> int:
     if every == bool(names):
         raise UserError("name the robots, or all of them", "zenav fleet stop red blue, or zenav fleet stop --all")
     chosen = chosen_stacks(stacks)
-    with FleetListener(chosen) as fleet, ThreadPoolExecutor(MAX_AT_ONCE) as pool:
-        stops: dict[tuple[str, str], Future[None]] = {}
-
-        def begin(views: list[RobotView]) -> bool:
-            for view in views:
-                where = view.name, view.stack
-                if where not in stops and (every or view.name in names):
-                    stops[where] = pool.submit(_stop, *where)
-            return False
-
-        begin([RobotView(name, stack) for name in names for stack in chosen] if len(chosen) == 1 else [])
-        fleet.hear(LOOK_S, begin)
-        failed = [f"{name}: {error}" for (name, _), error in _errors(stops)]
-        heard = {name for name, _ in stops}
-        failed += [f"{name}: it was not heard in {_stacks_text(chosen)}" for name in names if name not in heard]
-    if not stops and not failed:
+    with ThreadPoolExecutor(len(chosen)) as pool:  # a stack that is away holds up no other
+        stops = {stack: pool.submit(_stop_robots_of, stack, names, len(chosen) == 1) for stack in chosen}
+    n_stopped, heard, failed = 0, set[str](), list[str]()
+    for stack, future in stops.items():
+        try:
+            errors = future.result()
+        except UserError as error:
+            if len(chosen) == 1:
+                raise
+            failed.append(f"stack {stack}: {error.what}")
+            continue
+        heard |= errors.keys()
+        n_stopped += sum(not error for error in errors.values())
+        failed += [f"{name}: {error}" for name, error in errors.items() if error]
+    failed += [f"{name}: it was not heard in {_stacks_text(chosen)}" for name in names if name not in heard]
+    if not heard and not failed:
         raise UserError(f"no robot in {_stacks_text(chosen)}", "name the robots' router: --stack tcp/HOST:7447")
-    n_stopped = len(stops) - sum(1 for future in stops.values() if future.exception() is not None)
     sys.stdout.write(f"STOP is pressed on {n_stopped} robot{'s' if n_stopped != 1 else ''}\n")
     for line in failed:
         sys.stderr.write(f"{line}\n")
@@ -89,17 +88,32 @@ def send_robot(stacks: list[str], name: str, where: list[str], map_folder: str) 
     return drive_route(f"{name}@x80sv", found[0].stack, [goal])
 
 
+def _stop_robots_of(stack: str, names: Sequence[str], is_alone: bool) -> dict[str, str]:
+    """Presses STOP of the robots of a stack by name, of all without names; by robot why it is not confirmed, or "".
+
+    is_alone: no other stack may have a robot of these names. Raises UserError where the stack's router is away.
+    """
+    stops: dict[str, Future[None]] = {}
+    with FleetListener([stack]) as fleet, ThreadPoolExecutor(MAX_AT_ONCE) as pool:
+
+        def begin(views: list[RobotView]) -> bool:
+            for view in views:
+                if view.name not in stops and (not names or view.name in names):
+                    stops[view.name] = pool.submit(_stop, view.name, stack)
+            return False
+
+        begin([RobotView(name, stack) for name in names] if is_alone else [])
+        fleet.hear(LOOK_S, begin)
+    return {name: _error(future) for name, future in stops.items()}
+
+
 def _stop(name: str, stack: str) -> None:
     confirm_stop_of(name, stack_address(stack), True, "zenav fleet stop")
 
 
-def _errors(stops: dict[tuple[str, str], Future[None]]) -> list[tuple[tuple[str, str], str]]:
-    errors = []
-    for where, future in stops.items():
-        error = future.exception()
-        if error is not None:
-            errors.append((where, error.what if isinstance(error, UserError) else str(error)))
-    return errors
+def _error(stop: Future[None]) -> str:
+    error = stop.exception()
+    return "" if error is None else error.what if isinstance(error, UserError) else str(error)
 
 
 def _show(rows: list[FleetRow], as_json: bool) -> None:

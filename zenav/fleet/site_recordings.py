@@ -15,6 +15,7 @@ from pathlib import Path
 
 from shared import requests
 from shared.config import UserError
+from shared.file_modes import make_folder, opener
 from shared.recording_requests import MAX_DIGEST_SPAN, MAX_RECORDING_PART, FetchRecording, ListRecordings, RecordingPart
 from shared.runners.transport import stack_address
 from zenav.client import Client
@@ -51,7 +52,7 @@ def fetch_recording(name: str, file: str, folder: Path, stack: str) -> int:
         raise UserError(f"{target} is there already", "name another folder: --out DIR")
     partial = target.with_name(target.name + MARK)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         with Client(name, stack_address(stack)) as client, progress_bar(f"fetching {file}") as show:
 
             def ask(offset: int, length: int, digest: bool = False) -> RecordingPart:
@@ -78,7 +79,7 @@ Ask = Callable[..., RecordingPart]
 
 def fetch_into(partial: Path, ask: Ask, report: Callable[[int, int], None]) -> int:
     """Makes a file whole, of which a part may be there. Returns its bytes. Raises UserError where parts do not fit."""
-    with partial.open("a+b") as out:
+    with open(partial, "a+b", opener=opener) as out:
         done = _verified(out.seek(0, os.SEEK_END), lambda at, n: _digest(partial, at, n), ask)
         out.truncate(done)
         while True:

@@ -63,7 +63,6 @@ class App(Onlooker):
         self._client, self._say = client, say
         self._inlets: dict[tuple[int, int], Inlet] = {}
         self._told: dict[str, float] = {}
-        self._lock = threading.Lock()  # one STOP at a time: its key has one sequence
         self._work: queue.Queue[Callable[[], None] | None] = queue.Queue(WAITING)
         self._worker = threading.Thread(target=self._run, name="requests", daemon=True)
         self._worker.start()
@@ -121,12 +120,11 @@ class App(Onlooker):
             return  # the next time is soon
 
     def services(self) -> list[Service]:
-        """STOP, its release, and tasks, as std_srvs/Trigger in JSON."""
+        """STOP, its release, and tasks, as std_srvs/Trigger in JSON. STOP waits for no other call."""
         client = self._client
 
         def stop(press: bool) -> str:
-            with self._lock:
-                confirm_stop(client, press, "zenav foxglove")
+            confirm_stop(client, press, "zenav foxglove")
             return "STOP is pressed" if press else "STOP is released; the robot waits for a new goal"
 
         acts: dict[str, Callable[[], str]] = {

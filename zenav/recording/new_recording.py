@@ -7,6 +7,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from shared.config import UserError
+from shared.file_modes import make_folder
 from shared.recording import Recording, Writer
 from zenav.recording.selection import OUT_HINT
 
@@ -18,7 +19,7 @@ def new_recording(
     """A copy of another recording that takes its name when it is whole. Raises UserError where the disk refuses."""
     part = out.with_name(f"{out.name}.writing")
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(out.parent)
         with Writer(part, about, attachments, profile=source.profile) as writer:
             for name, fields in source.metadata:
                 writer.note(name, fields)

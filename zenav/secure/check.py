@@ -89,14 +89,16 @@ def check_members(place: SecureFolder, robot: str) -> Iterator[dict[str, Credent
     authority, until, number = Authority(place), today() + timedelta(days=1), secrets.token_hex(4)
     rows = [Member(f"{PREFIX}{role}", role, f"{PREFIX}{role}.{number}", until.isoformat()) for role in ROLES]
     gone = Member(f"{PREFIX}revoked", MemberRole.OPERATOR, f"{PREFIX}revoked.{number}", until.isoformat(), revoked=True)
-    place.write_members([*_own_members(place), *rows, gone])
+    with place.locked():
+        place.write_members([*_own_members(place), *rows, gone])
     try:
         yield {
             row.name.removeprefix(PREFIX): authority.credentials(row.name, str(row.role), robot, row.common_name, until)
             for row in (*rows, gone)
         }
     finally:
-        place.write_members(_own_members(place))
+        with place.locked():
+            place.write_members(_own_members(place))
 
 
 def _own_members(place: SecureFolder) -> list[Member]:

@@ -24,15 +24,16 @@ CHECK_PREFIX = "check-"  # of the names of members that `zenav secure check` add
 def init_folder(robot: str, folder: str, hosts: list[str]) -> None:
     """Makes authority and robot's certificate. Raises UserError where there is a folder already."""
     place = secure_folder(folder)
-    if place.authority_key.exists() or place.exists:
-        raise UserError(f"{place.path} has an authority already", "add members: zenav secure add NAME")
+    _require_empty(place)
     robot_name = configured(robot, []).robot.name
     names = list(dict.fromkeys([*(checked_host(host) for host in hosts), *host_names()]))
     authority = new_authority(robot_name, today())
-    place.write(place.authority_key, authority.key)
-    place.write(place.authority_certificate, authority.certificate)
-    place.write_members([])
-    _issue_robot(place, robot_name, names)
+    with place.locked():
+        _require_empty(place)
+        place.write(place.authority_key, authority.key)
+        place.write(place.authority_certificate, authority.certificate)
+        place.write_members([])
+        _issue_robot(place, robot_name, names)
     _say(f"{place.path}: authority and certificate of {robot_name}, for {', '.join(names)}")
     _say(f"fingerprint of the authority: {fingerprint(authority.certificate)}")
     _say("keep authority.key safe: its owner decides about access")
@@ -52,29 +53,31 @@ def add_member(name: str, role: MemberRole, folder: str, out: Path | None, days:
         raise UserError(f"{name!r} is no name of a robot", "a small letter first; then small letters, digits and _")
     if role is not MemberRole.SERVICE and name in SERVICES:
         raise UserError(f"{name} is the name of a service", "choose another one, or --role service")
-    if any(member.name == name and not member.revoked for member in place.members()):
-        raise UserError(f"{name} is a member already", f"zenav secure renew {name}, or revoke {name} first")
-    _issue_member(place, name, role, out, days)
+    with place.locked():
+        if any(member.name == name and not member.revoked for member in place.members()):
+            raise UserError(f"{name} is a member already", f"zenav secure renew {name}, or revoke {name} first")
+        _issue_member(place, name, role, out, days)
 
 
 def renew_certificates(name: str, folder: str, out: Path | None, days: int, hosts: list[str]) -> None:
     """Renews the certificate of a member; without a name, the robot's. The old one of a member ends."""
     place = secure_folder(folder).require()
-    if not name:
+    with place.locked():
+        if name:
+            _issue_member(place, name, valid_member(place, name).role, out, days)
+            return
         robot_name, names = _robot_of(place)
         names = list(dict.fromkeys([*(checked_host(host) for host in hosts), *names, *host_names()]))
         _issue_robot(place, robot_name, names)
         _say(f"{place.robot_certificate}: for {', '.join(names)}")
-        return
-    member = valid_member(place, name)
-    _issue_member(place, name, member.role, out, days)
 
 
 def renew_own(folder: SecureFolder) -> bool:
     """Renews the robot's certificate where it ends soon and the authority's key is here. Returns whether it did."""
     if folder.robot_days_left(today()) > RENEWAL_DAYS or not folder.authority_key.exists():
         return False
-    _issue_robot(folder, *_robot_of(folder))
+    with folder.locked():
+        _issue_robot(folder, *_robot_of(folder))
     return True
 
 
@@ -84,8 +87,9 @@ def revoke_member(name: str, folder: str) -> None:
     Raises UserError on a wrong name.
     """
     place = secure_folder(folder).require()
-    valid_member(place, name)
-    place.write_members([replace(row, revoked=True) if row.name == name else row for row in place.members()])
+    with place.locked():
+        valid_member(place, name)
+        place.write_members([replace(row, revoked=True) if row.name == name else row for row in place.members()])
     _say(f"{name} has no access any more")
 
 
@@ -138,6 +142,11 @@ def valid_member(place: SecureFolder, name: str) -> Member:
 def today() -> date:
     """The date of certificates, UTC."""
     return datetime.now(UTC).date()  # noqa: TID251  # certificates end by the wall clock
+
+
+def _require_empty(place: SecureFolder) -> None:
+    if place.authority_key.exists() or place.exists:
+        raise UserError(f"{place.path} has an authority already", "add members: zenav secure add NAME")
 
 
 def _issue_robot(place: SecureFolder, robot_name: str, names: list[str]) -> None:

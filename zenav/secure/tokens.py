@@ -22,14 +22,16 @@ MAX_TOKEN = 200  # characters of what a client may give as one
 def issue_token(name: str, folder: str) -> None:
     """Prints a new token of a member, once; an older one ends. Raises UserError where the member can have none."""
     place = secure_folder(folder).require()
-    member = valid_member(place, name)
-    if member.role in (MemberRole.SERVICE, MemberRole.ROBOT):
-        raise UserError(f"{name} is a {member.role}", "a token is for a person: zenav secure add NAME --role viewer")
     token = secrets.token_urlsafe(TOKEN_BYTES)
-    kept = {row.common_name for row in place.members() if not row.revoked}
-    hashes = {key: value for key, value in _hashes(place).items() if key in kept}
-    hashes[member.common_name] = _hash(token)
-    place.write(place.tokens_file, json.dumps(hashes, indent=1).encode())
+    with place.locked():
+        member = valid_member(place, name)
+        if member.role in (MemberRole.SERVICE, MemberRole.ROBOT):
+            hint = "a token is for a person: zenav secure add NAME --role viewer"
+            raise UserError(f"{name} is a {member.role}", hint)
+        kept = {row.common_name for row in place.members() if not row.revoked}
+        hashes = {key: value for key, value in _hashes(place).items() if key in kept}
+        hashes[member.common_name] = _hash(token)
+        place.write(place.tokens_file, json.dumps(hashes, indent=1).encode())
     sys.stdout.write(f"{token}\n")
     sys.stderr.write(f"{name}, {member.role}, until {member.until}; it is not shown again: give it to {name} alone\n")
     sys.stderr.write("in Foxglove, open a Foxglove WebSocket: wss://HOST:8765/?token=TOKEN\n")

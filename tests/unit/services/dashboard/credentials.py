@@ -19,12 +19,12 @@ NAMES = ("localhost", "robot.local", "*.robots.example", "127.0.0.1", REMOTE)
 
 
 @cache
-def certificate_and_key(days: float = 365.0) -> tuple[bytes, bytes]:
-    """PEM of a certificate of NAMES that signs itself, and of its key. days: to its end."""
+def certificate_and_key(days: float = 365.0, names: tuple[str, ...] = NAMES) -> tuple[bytes, bytes]:
+    """PEM of a certificate of these names that signs itself, and of its key. days: to its end."""
     key = ec.generate_private_key(ec.SECP256R1())
     name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "robot")])
     now = datetime.now(UTC)  # noqa: TID251  # of certificates
-    subjects = [x509.IPAddress(ip_address(n)) if n[0].isdigit() else x509.DNSName(n) for n in NAMES]
+    subjects = [x509.IPAddress(ip_address(n)) if n[0].isdigit() else x509.DNSName(n) for n in names]
     builder = x509.CertificateBuilder(name, name, key.public_key(), x509.random_serial_number())
     builder = builder.not_valid_before(now - timedelta(days=400)).not_valid_after(now + timedelta(days=days))
     signed = builder.add_extension(x509.SubjectAlternativeName(subjects), False).sign(key, hashes.SHA256())
@@ -34,10 +34,10 @@ def certificate_and_key(days: float = 365.0) -> tuple[bytes, bytes]:
     return signed.public_bytes(serialization.Encoding.PEM), private
 
 
-def make_credentials(path: Path, days: float = 365.0) -> SecureFolder:
+def make_credentials(path: Path, days: float = 365.0, names: tuple[str, ...] = NAMES) -> SecureFolder:
     """The folder with the robot's certificate."""
     folder = SecureFolder(path)
-    certificate, key = certificate_and_key(days)
+    certificate, key = certificate_and_key(days, names)
     folder.write(folder.robot_certificate, certificate)
     folder.write(folder.robot_key, key)
     return folder

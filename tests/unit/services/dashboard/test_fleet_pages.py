@@ -2,11 +2,14 @@
 """A page of a site: it shows one robot at a time, stops each and all, and drives none by hand."""
 
 import asyncio
+import threading
 
 import msgpack
 import pytest
 
+from services.dashboard import fleet_feed, page_hubs
 from services.dashboard.config import DashboardConfig
+from services.dashboard.fleet_feed import FleetFeed
 from services.dashboard.frames import SITE_KEYS
 from services.dashboard.page_hubs import PageHubs
 from services.dashboard.service import DashboardService
@@ -14,6 +17,7 @@ from services.dashboard.web_guard import PageUser
 from shared.codec import decode
 from shared.crossing import OUTWARD_KEYS
 from shared.requests import Watch
+from shared.robot_view import RobotView
 from shared.roles import Role
 from tests.unit.services.dashboard.pages import LOOPBACK, ROBOT, Pages
 
@@ -96,7 +100,7 @@ def test_each_robot_that_is_shown_is_watched_again_and_again_and_no_other(pages)
 
 class FakeHub:
     def __init__(self, robot, numbers):
-        self.robot, self.numbers, self.pages, self.taken = robot, numbers, [], []
+        self.robot, self.numbers, self.pages, self.taken, self.is_closed = robot, numbers, [], [], False
 
     async def opened(self, user):
         page = FakePage(next(self.numbers))
@@ -108,6 +112,13 @@ class FakeHub:
 
     def take(self, order):
         self.taken.append(order)
+
+    @property
+    def is_in_use(self):
+        return bool(self.pages)
+
+    async def close(self):
+        self.is_closed = True
 
 
 class FakePage:
@@ -164,6 +175,112 @@ def test_orders_reach_the_hub_of_their_page_alone_and_the_fleet_reaches_all():
         assert feeds[0].is_open, "a third page is open"
         hubs.closed(odd, odd.pages[0])
         assert not feeds[0].is_open
+
+    asyncio.run(run())
+
+
+def test_each_robot_has_its_own_hub_however_many_were_shown_and_one_without_pages_ends(monkeypatch):
+    monkeypatch.setattr(page_hubs, "LINGER_S", 0.0)
+
+    async def run() -> None:
+        hubs, user = PageHubs("red", FakeHub, None), PageUser("", Role.ADMIN, LOOPBACK)
+        opened = [await hubs.opened(user, f"r{i}") for i in range(150)]
+        assert [hub.robot for hub, _ in opened] == [f"r{i}" for i in range(150)]
+        kept = await hubs.opened(user, "")
+        for hub, page in [*opened[1:], kept]:
+            hubs.closed(hub, page)
+        while not opened[-1][0].is_closed:
+            await asyncio.sleep(0.01)
+        assert [hub.is_closed for hub in (opened[0][0], opened[1][0], hubs.first)] == [False, True, False]
+        again, _ = await hubs.opened(user, "r1")
+        assert again.robot == "r1"
+        assert again is not opened[1][0]
+
+    asyncio.run(run())
+
+
+def test_no_stop_waits_for_others_that_no_guard_confirms():
+    n = 40
+    all_begun = threading.Barrier(n, timeout=20.0)
+
+    class SlowFeed(FakeFeed):
+        def stop(self, robots, press, by):
+            all_begun.wait()
+            return super().stop(robots, press, by)
+
+    async def run() -> None:
+        hubs = PageHubs("red", FakeHub, SlowFeed)
+        _, page = await hubs.opened(PageUser("", Role.ADMIN, LOOPBACK), "")
+        for i in range(n):
+            hubs.take({"client": 1, "stop": [f"r{i}"], "pressed": True, "by": "anna"})
+        while len(page.frames) < n:
+            await asyncio.sleep(0.01)
+
+    asyncio.run(asyncio.wait_for(run(), 60.0))
+
+
+def test_of_many_robots_each_gets_stop_before_any_has_confirmed_it(monkeypatch):
+    names = [f"r{i}" for i in range(100)]
+    all_begun = threading.Barrier(len(names), timeout=20.0)
+    monkeypatch.setattr(fleet_feed, "confirm_stop_of", lambda *arguments: all_begun.wait())
+    monkeypatch.setattr(FleetFeed, "_run", lambda self: None)
+    feed = FleetFeed("tcp/127.0.0.1:1", lambda rows: None)
+    assert feed.stop(names, True, "anna") == (names, {})
+
+
+class OneRobot:
+    """A fake of FleetListener that hears one robot."""
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+    def hear(self, seconds):
+        return [RobotView("red", "0")]
+
+    def ask_addresses(self):
+        pass
+
+
+def test_stop_of_all_waits_until_robots_are_heard(monkeypatch):
+    may_listen = threading.Event()
+
+    def listener(*arguments):
+        assert may_listen.wait(20.0)
+        return OneRobot()
+
+    def stop():
+        outcomes.append(feed.stop(None, True, "anna"))
+
+    outcomes = []
+    monkeypatch.setattr(fleet_feed, "FIRST_S", 20.0, raising=False)
+    monkeypatch.setattr(fleet_feed, "FleetListener", listener)
+    monkeypatch.setattr(fleet_feed, "confirm_stop_of", lambda *arguments: None)
+    feed = FleetFeed("tcp/127.0.0.1:1", lambda rows: feed.close())
+    stopping = threading.Thread(target=stop)
+    stopping.start()
+    may_listen.set()
+    stopping.join()
+    assert outcomes == [(["red"], {})]
+
+
+def test_stop_of_all_that_reaches_no_robot_is_an_error():
+    class DeafFeed(FakeFeed):
+        def stop(self, robots, press, by):
+            return [], {}
+
+    async def run() -> None:
+        hubs = PageHubs("red", FakeHub, DeafFeed)
+        _, page = await hubs.opened(PageUser("", Role.ADMIN, LOOPBACK), "")
+        hubs.take({"client": 1, "stop": None, "pressed": True, "by": "anna"})
+        while not page.frames:
+            await asyncio.sleep(0.01)
+        assert (page.frames[0]["level"], page.frames[0]["text"]) == (
+            "error",
+            "STOP is not confirmed: no robot is heard",
+        )
 
     asyncio.run(run())
 

@@ -129,6 +129,20 @@ def test_a_certificate_that_was_renewed_is_shown_without_a_restart(monkeypatch, 
     assert shown.strip() == (tmp_path / "robot.pem").read_text().strip()
 
 
+def test_the_names_of_a_renewed_certificate_count_and_former_ones_do_not(monkeypatch, tmp_path):
+    monkeypatch.setattr("services.dashboard.web.RENEW_EVERY_S", 0.05)
+    with serving_remote(monkeypatch, tmp_path, 10.5) as served:
+        by_new_name = RemoteComputer(served.port, host="new.robots.site")
+        by_former_name = RemoteComputer(served.port, host="robot.local")
+        assert (by_new_name.request("GET", "/")[0], by_former_name.request("GET", "/")[0]) == (403, 200)
+        computer = logged_in(served, Role.VIEWER)
+        with computer.page() as page:
+            page.until(lambda: "ends in 10 days" in served.core.state())
+            make_credentials(tmp_path, 300.0, (REMOTE, "new.robots.site"))
+            page.until(lambda: "ends" not in served.core.state())
+        assert (by_new_name.request("GET", "/")[0], by_former_name.request("GET", "/")[0]) == (200, 403)
+
+
 def test_half_of_a_renewed_certificate_leaves_the_present_one_in_use(monkeypatch, tmp_path):
     tries = threading.Event()
     load = PageCertificate.load_into

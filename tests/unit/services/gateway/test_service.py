@@ -105,6 +105,26 @@ def test_lines_on_links_and_handshakes_are_events(line, expected):
     assert LineReader(MARK).read(line) == expected
 
 
+@pytest.mark.parametrize(
+    "forged",
+    [
+        "a\n" + denied("anna.1", "x80/estop"),
+        "a\n" + denied("anna.1", "x80/estop") + "\nb",
+        "a +CertCommonName(anna.1)+b is unauthorized to Put (ingress) on x80/estop",
+        "a\nTRACE rx-0 ThreadId(10) x: y\n" + denied("anna.1", "x80/estop"),
+        "a\n" + dropped(),
+        "a " + dropped(),
+        "a WARN acc-0 ThreadId(05) zenoh_link_tls::unicast: stranger Hint:",
+        "a\nWARN acc-0 ThreadId(05) zenoh_link_tls::unicast: stranger Hint:",
+    ],
+)
+def test_no_key_of_a_member_is_taken_for_another_line_of_the_log(forged):
+    reader = LineReader(MARK)
+    assert reader.read(denied("vera.2", f"x80/{forged}") + "\n") is None
+    assert reader.read(dropped()) == LinkLine(LinkEvent.REFUSED, "vera.2", "put x80/a")
+    assert reader.read(dropped()) == LinkLine(LinkEvent.REFUSED, "", "a message")
+
+
 @given(st.lists(st.text(max_size=120), max_size=20))
 def test_no_line_of_a_log_ends_the_reader(lines):
     reader = LineReader(MARK)

@@ -47,6 +47,16 @@ def test_what_is_fetched_is_the_robots_file_whatever_was_there_before(tmp_path_f
         assert min(offset for offset, _, digest in asked if not digest) == have, "nothing is carried twice"
 
 
+def test_what_is_fetched_is_for_its_user_and_group(tmp_path):
+    (tmp_path / "a.mcap").write_bytes(b"x")
+    before = os.umask(0)
+    try:
+        fetch_into(tmp_path / "out", robot(tmp_path)[0], lambda done, size: None)
+    finally:
+        os.umask(before)
+    assert (tmp_path / "out").stat().st_mode & 0o777 == 0o640
+
+
 def test_a_fetch_goes_on_after_lost_requests_and_gives_up_in_the_end(tmp_path, monkeypatch):
     (tmp_path / "a.mcap").write_bytes(b"x" * 200_000)
     ask, _ = robot(tmp_path, fails={2, 3})

@@ -237,6 +237,19 @@ def test_a_service_without_arguments_is_a_request_and_its_reply_the_outcome(name
     assert (reply["reply"], response.success, response.message) == (5, False, GOAL_BLOCKED.text)
 
 
+def test_a_flood_of_goals_does_not_displace_a_request_that_waits_for_its_outcome():
+    core = Core()
+    [waiting] = core.request("/explore", 5, core.trigger())
+    goals = [core.message("/goal_pose", core.pose(Pose2(1, 2, 0)))[0] for _ in range(200)]
+    [reply] = core.outcome(waiting)
+    assert reply["reply"] == 5
+    n_lines = len(core.lines)
+    core.outcome(goals[-2], accepted=False)
+    assert core.lines[n_lines:] == []
+    core.outcome(goals[-1], accepted=False)
+    assert core.lines[n_lines:] == [f"ROS 2: goal refused: {GOAL_BLOCKED.text}"]
+
+
 @pytest.mark.parametrize("name", ["/amcl/get_state", "/bt_navigator/get_state"])
 def test_nav2s_simple_commander_finds_its_nodes_active(name):
     core = Core()

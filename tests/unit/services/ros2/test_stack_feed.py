@@ -2,6 +2,7 @@
 """Values for late subscribers on their way to ROS: what is known is not sent again, and what is newer is."""
 
 import threading
+from contextlib import contextmanager
 from dataclasses import replace
 
 from services.ros2 import stack_feed
@@ -53,9 +54,11 @@ def status(battery, session, sequence, sent):
     return encode(message, Envelope("base_driver", session, sequence, sent))
 
 
-def test_a_kept_value_that_is_newer_goes_to_ros_and_one_that_is_known_does_not(monkeypatch):
-    stack, config = FakeStack(monkeypatch), Ros2Config()
-    types, voltages, changed = ros_types(config.distro), [], threading.Condition()
+@contextmanager
+def fed(stack):
+    """A feed of /battery_state from a fake stack: voltages that went to ROS, waits for one and for a rejection."""
+    config = Ros2Config()
+    types, voltages, changed, is_rejected = ros_types(config.distro), [], threading.Condition(), threading.Event()
 
     def publish(name, data):
         with changed:
@@ -66,11 +69,26 @@ def test_a_kept_value_that_is_newer_goes_to_ros_and_one_that_is_known_does_not(m
         with changed:
             assert changed.wait_for(lambda: voltages[-1:] == [voltage], 20.0), voltages
 
-    feed = StackFeed(config, "red", StackAddress(), publish, lambda: None)
+    def reject(name, text):
+        assert name == NAME
+        is_rejected.set()
+
+    def wait_rejected():
+        assert is_rejected.wait(20.0)
+
+    feed = StackFeed(config, "red", StackAddress(), publish=publish, on_teleop=lambda: None, on_rejected=reject)
     feed.start()
     try:
         feed.want(NAME, True)
         assert stack.is_listened_to.wait(20.0)
+        yield voltages, wait_for, wait_rejected
+    finally:
+        feed.close()
+
+
+def test_a_kept_value_that_is_newer_goes_to_ros_and_one_that_is_known_does_not(monkeypatch):
+    stack = FakeStack(monkeypatch)
+    with fed(stack) as (voltages, wait_for, _):
         hear, hear_kept = stack.hear[KEY], stack.hear_kept[f"red/{KEY}"]
         hear(KEY, status(11.0, "a", 3, 1000 * S))
         wait_for(11.0)
@@ -79,6 +97,17 @@ def test_a_kept_value_that_is_newer_goes_to_ros_and_one_that_is_known_does_not(m
         hear_kept(status(13.0, "z", 9, 999 * S))
         hear_kept(status(14.0, "b", 0, 2000 * S))
         wait_for(14.0)
-    finally:
-        feed.close()
     assert voltages == [11.0, 14.0]
+
+
+def test_a_stamp_that_ros_cannot_hold_costs_one_message(monkeypatch):
+    stack = FakeStack(monkeypatch)
+    with fed(stack) as (voltages, wait_for, wait_rejected):
+        hear = stack.hear[KEY]
+        hear(KEY, status(11.0, "a", 1, 1000 * S))
+        wait_for(11.0)
+        hear(KEY, status(12.0, "a", 2, 2**31 * S))
+        wait_rejected()
+        hear(KEY, status(13.0, "a", 3, 1001 * S))
+        wait_for(13.0)
+    assert voltages == [11.0, 13.0]

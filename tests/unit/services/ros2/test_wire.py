@@ -9,17 +9,20 @@ import pytest
 import zenoh
 from zenoh.ext import HistoryConfig, declare_advanced_subscriber
 
+from services.ros2 import bridge_device
 from services.ros2.action_topics import actions_of
 from services.ros2.bridge_device import zenoh_endpoint
 from services.ros2.outgoing_markers import MARKERS
 from services.ros2.outgoing_topics import OUTGOING
 from services.ros2.rmw_names import ATTACHMENT, Entity, Qos, RosName, RosNode, attachment, attachment_of, endpoint_of
 from services.ros2.ros_types import Distro
+from services.ros2.zenav_command import CommandResult
 from shared import requests, sample_messages, topics
 from shared.codec import Envelope, encode
 from shared.config import UserError, load_robot
 from shared.geometry import Pose2
 from shared.messages import MapState, Path, Zone, ZoneKind, Zones
+from shared.reasons import BUSY
 from shared.requests import Cancel
 from tests.unit.services.ros2.network import GID, LIMIT_S, Bridge, bridged, free_port, repeated, router
 
@@ -277,6 +280,32 @@ def test_a_command_that_fails_is_a_refusal_with_its_words(bridge):
     event = bridge.wait_event("outcome")
     assert (event["id"], event["accepted"]) == (5, False)
     assert "hint:" in event["detail"]
+
+
+def test_one_command_of_a_kind_runs_and_others_get_the_answer_busy(bridge, monkeypatch):
+    may_end, begun = threading.Event(), []
+
+    def run(*command):
+        begun.append(command[:3])
+        may_end.wait(LIMIT_S)
+        return CommandResult("", "")
+
+    def outcome(number):
+        return [event for event in bridge.events if event["event"] == "outcome" and event["id"] == number]
+
+    monkeypatch.setattr(bridge_device, "run_command", run)
+    for number in range(1, 33):
+        bridge.order(tool=("map", "save", f"m{number}"), id=number)
+    bridge.order(tool=("map", "load", "other"), id=33)
+    bridge.wait(lambda: outcome(32))
+    may_end.set()
+    bridge.wait(lambda: outcome(1) and outcome(33))
+    assert begun == [("map", "save", "m1"), ("map", "load", "other")]
+    assert [outcome(number)[0]["reason"] for number in (1, 33)] == ["", ""]
+    assert {outcome(number)[0]["reason"] for number in range(2, 33)} == {BUSY.code}
+    bridge.order(tool=("map", "save", "again"), id=34)
+    bridge.wait(lambda: outcome(34))
+    assert begun[-1] == ("map", "save", "again")
 
 
 def test_names_are_remapped_and_below_the_namespace_but_for_those_of_tf():

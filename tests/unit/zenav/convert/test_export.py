@@ -2,6 +2,7 @@
 """`zenav convert`: what is written reads back, also by the tools that the formats are for."""
 
 import gzip
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -230,6 +231,18 @@ def test_a_recording_gives_its_last_map(tmp_path):
     assert (cells == 100).sum() > 100
     with pytest.raises(UserError, match="nothing in it for a map's folder"):
         convert(small().write(tmp_path / "bag"), tmp_path / "other", "map", Choice(), "", False)
+
+
+@pytest.mark.parametrize("to", [to for to in FORMATS if to != "map"])
+def test_what_is_written_is_for_its_user_and_group(tmp_path, to):
+    source, out = written(looking_back(), "ros1", tmp_path), tmp_path / "new"
+    before = os.umask(0)
+    try:
+        convert(source, out, to, Choice(), "", False)
+    finally:
+        os.umask(before)
+    modes = {path: oct(path.stat().st_mode & 0o777) for path in (out, *out.rglob("*"))}
+    assert modes == {path: "0o750" if path.is_dir() else "0o640" for path in modes}
 
 
 def test_a_map_that_is_written_over_leaves_the_other_files_of_its_folder(tmp_path):

@@ -4,6 +4,7 @@
 import json
 import os
 import stat
+import threading
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -39,6 +40,27 @@ def test_the_folder_and_each_file_are_for_their_user_alone(place):
     assert stat.S_IMODE(place.path.stat().st_mode) == 0o700
     for file in (*place.path.iterdir(), *place.path.parent.glob("*.pem")):
         assert stat.S_IMODE(file.stat().st_mode) == 0o600, file
+
+
+def test_members_that_are_added_at_once_are_all_kept(place, monkeypatch):
+    issue, others, is_added = Authority.credentials, [], threading.Event()
+
+    def add_bert():
+        add(place, "bert")
+        is_added.set()
+
+    def issue_late(*arguments):
+        """Another command begins where this one has read the list, and has not yet written it."""
+        if not others:
+            others.append(threading.Thread(target=add_bert))
+            others[0].start()
+            is_added.wait(1.0)
+        return issue(*arguments)
+
+    monkeypatch.setattr(Authority, "credentials", issue_late)
+    add(place, "anna")
+    others[0].join()
+    assert {member.name for member in place.members()} == {"anna", "bert"}
 
 
 def test_a_member_has_a_certificate_for_clients_and_the_robot_one_for_servers(place):
