@@ -56,7 +56,7 @@ def test_both_wheels_that_fall_behind_are_found_where_reports_come_close_togethe
     """From a drive on a busy machine: the board had no command for 0.2 s, and sent reports 5 ms apart afterwards."""
     wheels = FaultyWheels()
     wheels.run(1.0, 1.0, 1.0)
-    wheels.run(0.14, 0.6, 0.6)
+    wheels.run(0.12, 0.6, 0.6)
     count = 2 * pi / DRIVE.counts_per_turn
     for left, right in ((2, 4), (8, 6), (2, 4), (8, 6)):  # counts: as fast as before
         wheels.now += S // 200 if left < right else S * 3 // 200
