@@ -20,13 +20,38 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from shared.geometry import Pose2
-from shared.messages import BaseOdometry, LaserScan, MapUpdate, Message, NonZero, RobotIntent, Shape, Within
+from shared.messages import (
+    BaseOdometry,
+    LaserScan,
+    MapUpdate,
+    Message,
+    NavTask,
+    NonZero,
+    OtherRobots,
+    RobotIntent,
+    RuntimeSettings,
+    Shape,
+    Within,
+)
+from shared.requests import MIN_TOLERANCE, Navigate, SetSettings, StartMap
 from shared.service import handlers
 from shared.topics import TOPICS
 
 M = TypeVar("M", bound=Message)
 
 MAX_AXIS = 12  # entries along a named axis: enough for every branch, few enough to shrink
+TUPLE_AXES = {
+    (OtherRobots, "names"): "k",
+    (RuntimeSettings, "names"): "settings",
+    (RuntimeSettings, "values"): "settings",
+    (SetSettings, "names"): "settings",
+    (SetSettings, "values"): "settings",
+    (NavTask, "poses"): "poses",
+    (NavTask, "dwells"): "poses",
+    (Navigate, "poses"): "poses",
+    (Navigate, "dwells"): "poses",
+}
+"""Tuples that have one entry for each entry of another field, and the axis of both. What is drawn is seldom invalid."""
 
 
 def messages(kind: type[M], **given: st.SearchStrategy[Any]) -> st.SearchStrategy[M]:
@@ -63,7 +88,8 @@ def _dataclass(kind: Any, given: dict[str, st.SearchStrategy[Any]]) -> st.Search
     hints = get_type_hints(kind, include_extras=True)
     unknown = set(given) - set(hints)
     assert not unknown, f"{kind.__name__} has no {unknown}"
-    axes = sorted({axis for hint in hints.values() for axis in _axes(hint) if not axis.isdigit()})
+    named = {axis for hint in hints.values() for axis in _axes(hint) if not axis.isdigit()}
+    axes = sorted(named | {axis for (owner, _), axis in TUPLE_AXES.items() if owner is kind})
     lengths = st.fixed_dictionaries({axis: st.integers(_least(kind), MAX_AXIS) for axis in axes})
 
     def of_lengths(length: dict[str, int]) -> st.SearchStrategy[Any]:
@@ -77,7 +103,7 @@ def _dataclass(kind: Any, given: dict[str, st.SearchStrategy[Any]]) -> st.Search
 
 
 def _least(kind: Any) -> int:
-    return 2 if kind is LaserScan else 0
+    return {LaserScan: 2, Navigate: 1}.get(kind, 0)
 
 
 def _field(kind: Any, name: str, hint: Any, length: dict[str, int]) -> st.SearchStrategy[Any]:
@@ -95,6 +121,13 @@ def _field(kind: Any, name: str, hint: Any, length: dict[str, int]) -> st.Search
         return st.integers(0, half) if name == "held" else st.integers(half, length["n"])
     if kind is MapUpdate and name in ("rows", "columns"):  # near enough that a dense grid holds them
         return hnp.arrays(np.int32, length["k"], elements=st.integers(-3, 3))
+    if kind is Navigate and name in ("tolerance", "yaw_tolerance"):
+        return st.just(0.0) | st.floats(MIN_TOLERANCE, 3)
+    if kind is StartMap and name == "at":
+        return st.lists(_value(get_args(_parts(hint)[0])[0], length), max_size=1).map(tuple)
+    if (axis := TUPLE_AXES.get((kind, name))) is not None:
+        entries = st.tuples(*[_value(get_args(_parts(hint)[0])[0], length)] * length[axis])
+        return st.just(()) | entries if (kind, name) == (Navigate, "dwells") else entries
     return _value(hint, length)
 
 

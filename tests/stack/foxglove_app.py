@@ -49,7 +49,7 @@ class FakeApp:
     def __exit__(self, *_: object) -> None:
         self._open.close()
 
-    def until(self, holds: Callable[[], Any], seconds: float = 20.0, meanwhile: Callable[[], Any] | None = None) -> Any:
+    def until(self, holds: Callable[[], Any], seconds: float = 60.0, meanwhile: Callable[[], Any] | None = None) -> Any:
         """Receives until the condition holds; fails with the received statuses and channels."""
         limit = time.monotonic() + seconds
         while not (found := holds()):

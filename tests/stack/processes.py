@@ -101,6 +101,20 @@ def running(
             yield stack
 
 
+def once(holds: Callable[[], object], action: Callable[[], object], seconds: float = 60.0) -> threading.Thread:
+    """A thread, which runs, that does something once the condition holds, or after so many seconds in any case."""
+
+    def work() -> None:
+        limit = time.monotonic() + seconds
+        while not holds() and time.monotonic() < limit:
+            wait(0.02)
+        action()
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    return thread
+
+
 def wait(seconds: float) -> None:
     """Lets the stack run for a while, where what must not happen could happen."""
     threading.Event().wait(seconds)

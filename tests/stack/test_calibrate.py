@@ -50,7 +50,7 @@ def spin(press: bool = False) -> Manoeuvre[None]:
 
 def when_it_turns(stack: StackProcesses, action: Callable[[], None]) -> threading.Thread:
     def wait() -> None:
-        stack.client.wait(topics.TRUTH, lambda t: abs(t.w) > 0.3, 10.0)
+        stack.client.wait(topics.TRUTH, lambda t: abs(t.w) > 0.3, 30.0)
         action()
 
     thread = threading.Thread(target=wait)
@@ -59,7 +59,7 @@ def when_it_turns(stack: StackProcesses, action: Callable[[], None]) -> threadin
 
 
 def stands(stack: StackProcesses) -> None:
-    stack.until(lambda: truth(stack).w == pytest.approx(0, abs=0.01), 3.0)
+    stack.until(lambda: truth(stack).w == pytest.approx(0, abs=0.01))
     yaw = truth(stack).world_from_base.yaw
     threading.Event().wait(0.5)
     assert truth(stack).world_from_base.yaw == pytest.approx(yaw, abs=0.01)
@@ -89,7 +89,7 @@ def test_ctrl_c_stops_the_robot(stack, operator):
 
 def test_an_error_while_stop_is_pressed_by_us_leaves_a_standing_robot_without_stop(stack, operator):
     def pressed() -> None:
-        stack.client.wait(topics.GUARD, lambda g: g.state is GuardState.STOPPED, 10.0)
+        stack.client.wait(topics.GUARD, lambda g: g.state is GuardState.STOPPED, 30.0)
         os.kill(os.getpid(), signal.SIGINT)
 
     thread = threading.Thread(target=pressed)

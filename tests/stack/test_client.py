@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -29,6 +30,7 @@ from shared.messages import (
 from shared.reasons import MAP_REFUSED, NO_GRAPH
 from shared.requests import Cancel, Explore, FetchMap, GiveMap, MapPart, Navigate, Pause, Reply, StartMap
 from shared.service import Answer, Out, Service, answer, every, on
+from tests.stack.processes import once
 from tests.stack.test_live import ROBOT, running
 from zenav.__main__ import _status
 from zenav.client import Client
@@ -186,24 +188,38 @@ def test_ctrl_c_cancels_the_goal_and_says_so(where, capsys):
     navigator = ReachingNavigator()
     navigator.slow = True
     with running(navigator, "navigator", where):
-        threading.Timer(1.5, os.kill, (os.getpid(), signal.SIGINT)).start()
+        ends = once(lambda: navigator.asked, lambda: os.kill(os.getpid(), signal.SIGINT))
         assert _status(["goto", "1", "2", "--stack", str(where.domain)]) == 130
+        ends.join()
     assert navigator.canceled.is_set()
     assert "canceled" in capsys.readouterr().err
+
+
+def _hold_keys(terminal: int, driven: list[tuple[float, float]]) -> None:
+    """Holds keys until the robot drives their way, then the next ones, as a terminal repeats them; then quits."""
+    limit = time.monotonic() + 60
+    for key, way in ((b"w", (0.2, 0.0)), (b"w\x1b[D", (0.2, 1.57)), (b"\x1b[D", (0.0, 1.57))):
+        while not any((round(v, 2), round(w, 2)) == way for v, w in driven) and time.monotonic() < limit:
+            os.write(terminal, key)
+            threading.Event().wait(0.1)
+    os.write(terminal, b"q")
 
 
 def test_keys_drive_and_their_end_stands(where, capsys, monkeypatch):
     guard = StopGuard()
     terminal, keyboard = os.openpty()
-    typed = [(0.6, b"w"), (0.8, b"\x1b[D"), (2.0, b"q")]
-    with running(guard, "guard", where), os.fdopen(keyboard) as keys:
+    with (
+        running(guard, "guard", where),
+        os.fdopen(keyboard) as keys,
+        ThreadPoolExecutor(1) as typist,
+    ):
         monkeypatch.setattr(sys, "stdin", keys)
-        for after, key in typed:
-            threading.Timer(after, os.write, (terminal, key)).start()
+        typed = typist.submit(_hold_keys, terminal, guard.driven)
         assert _status(["teleop", "--speed", "0.2", "--turn", "90", "--stack", str(where.domain)]) == 0
+        typed.result()
     os.close(terminal)
     ways = list(dict.fromkeys((round(v, 2), round(w, 2)) for v, w in guard.driven))
-    assert {(0.2, 0.0), (0.2, 1.57)} <= set(ways)
+    assert {(0.2, 0.0), (0.2, 1.57), (0.0, 1.57)} <= set(ways)
     assert guard.driven[-1] == (0.0, 0.0)
 
 
@@ -213,7 +229,7 @@ def test_a_map_is_saved_shown_and_given_back(where, capsys, monkeypatch, tmp_pat
     with running(mapper, "mapper", where):
         with Client(ROBOT.name, where) as client:
             client.follow(topics.MAP)
-            assert client.wait(topics.MAP, lambda m: len(m.rows) == 3, 10) is not None
+            assert client.wait(topics.MAP, lambda m: len(m.rows) == 3, 30) is not None
         assert _status(["map", "show", *stack]) == 0
         assert "###" in capsys.readouterr().out
         assert _status(["map", "save", "room", *stack]) == 0
@@ -234,8 +250,7 @@ def test_a_canceled_goto_is_no_success(where, capsys):
     navigator = ReachingNavigator()
     navigator.slow = True
     with running(navigator, "navigator", where):
-        ends = threading.Timer(1.0, lambda: _cancel(where))
-        ends.start()
+        ends = once(lambda: navigator.asked, lambda: _cancel(where))
         assert _status(["goto", "1", "2", "--stack", str(where.domain)]) == 1
         ends.join()
     assert navigator.canceled.is_set()
@@ -243,7 +258,7 @@ def test_a_canceled_goto_is_no_success(where, capsys):
 
 def _cancel(where) -> None:  # type: ignore[no-untyped-def]
     with Client(ROBOT.name, where) as client:
-        client.answers(requests.CANCEL, 5.0)
+        client.answers(requests.CANCEL, 30.0)
         client.ask(requests.CANCEL, Cancel(client.now()))
 
 
@@ -265,12 +280,12 @@ def test_a_tool_that_comes_late_gets_the_whole_map(where):
     with running(TileMapper(), "mapper", where) as live:
         with Client(ROBOT.name, where) as early:
             early.follow(topics.MAP)
-            assert early.wait(topics.MAP, lambda m: m.version == 3, 10) is not None
-            assert early.wait(topics.MAP, lambda m: len(m.rows) == 3, 10) is not None
+            assert early.wait(topics.MAP, lambda m: m.version == 3, 30) is not None
+            assert early.wait(topics.MAP, lambda m: len(m.rows) == 3, 30) is not None
         assert live.host.service.version == 3
         with Client(ROBOT.name, where) as late:
             late.follow(topics.MAP)
-            assert late.wait(topics.MAP, lambda m: len(m.rows) == 3, 10) is not None
+            assert late.wait(topics.MAP, lambda m: len(m.rows) == 3, 30) is not None
             assert len(late.latched_value(topics.MAP).rows) == 3
 
 
@@ -309,5 +324,5 @@ def test_two_stacks_do_not_hear_each_other(where):
         client.follow(topics.GUARD)
         with Client(ROBOT.name, where) as same:
             same.follow(topics.GUARD)
-            assert same.wait(topics.GUARD, lambda s: True, 10) is not None
+            assert same.wait(topics.GUARD, lambda s: True, 30) is not None
         assert client.latest(topics.GUARD) is None

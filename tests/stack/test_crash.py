@@ -174,10 +174,11 @@ def test_a_request_and_a_job_that_kill_are_replayed(tmp_path, where, dies, error
         dying(DyingTiles(dies), "mapper", where, tmp_path) as thread,
     ):
         if dies == "request":
-            threading.Event().wait(0.7)
+            with Client(ROBOT.name, where) as client:
+                assert client.answers(requests.LOAD_MAP, 20.0)
             update = MapUpdate(1, 7, 1, 0.05, *2 * [tile_row()], tile(5, 5))
             payload = encode(LoadMap(1, update, Pose2()), Envelope("operator", "o", 0, 1))
-            list(tool.get(f"{ROBOT.name}/request/load_map", payload=payload, timeout=5.0))
+            list(tool.get(f"{ROBOT.name}/request/load_map", payload=payload, timeout=20.0))
         thread.join(20)
     recording = crash(tmp_path, "mapper")
     with pytest.raises(error) as raised:

@@ -320,8 +320,13 @@ def test_the_app_sees_a_simulated_robot_and_sends_it_to_a_goal(tmp_path):
         app.subscribe("/map", "/scan", "/pose", "/tf", "/plan", "/robot", "/debug/costmap", "/debug/rollouts")
         for topic in ("/map", "/scan", "/pose", "/robot", "/debug/costmap"):
             app.until(lambda topic=topic: app.last(topic), meanwhile=stack.launcher.step)
-        pairs = {(t["parent_frame_id"], t["child_frame_id"]) for _, m in app.messages["/tf"] for t in m["transforms"]}
-        assert pairs == {("map", "odom"), ("odom", "base_link"), ("base_link", "laser")}
+
+        def frames() -> set[tuple[str, str]]:
+            received = [t for _, m in app.messages.get("/tf", []) for t in m["transforms"]]
+            return {(t["parent_frame_id"], t["child_frame_id"]) for t in received}
+
+        app.until(lambda: len(frames()) >= 3, meanwhile=stack.launcher.step)
+        assert frames() == {("map", "odom"), ("odom", "base_link"), ("base_link", "laser")}
         pose = app.last("/pose")["pose"]["position"]
         (_, cell) = cell_at(app.last("/map"), pose["x"], pose["y"])
         assert 0 <= cell < 50, "the robot stands on free ground"

@@ -76,7 +76,14 @@ def remote(tmp_path_factory):
         address = f"127.0.0.1:{probe.getsockname()[1]}"
     settings = (f"gateway.port.device=tls://{address}", f"gateway.folder={place.path}")
     with running(folder, (*ALL, "gateway"), settings=settings) as stack:
+        stack.until(lambda: listens(address), 60)  # the gateway runs before its door is open
         yield RemoteStack(stack, place, address)
+
+
+def listens(address: str) -> bool:
+    host, _, port = address.rpartition(":")
+    with socket.socket() as probe:
+        return probe.connect_ex((host, int(port))) == 0
 
 
 def test_a_task_goes_on_when_the_certificate_of_its_member_ends(remote):

@@ -51,7 +51,7 @@ class Watched(RecorderService):
     def hears(self, **counts: int) -> bool:
         self.wanted = Counter({key.replace("_", "/"): n for key, n in counts.items()})
         self.satisfied.clear()
-        return self.satisfied.wait(20)
+        return self.satisfied.wait(60)
 
 
 def recorded(session: zenoh.Session, name: str) -> bool:
@@ -59,7 +59,7 @@ def recorded(session: zenoh.Session, name: str) -> bool:
     publisher, found = session.declare_publisher(f"{ROBOT.name}/journal/{name}"), threading.Event()
     publisher.declare_matching_listener(lambda status: found.set() if status.matching else None)
     there: Any = publisher.matching_status  # its stub says bool, it is an object
-    return there.matching or found.wait(20)
+    return there.matching or found.wait(60)
 
 
 @contextmanager

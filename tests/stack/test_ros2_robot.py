@@ -106,4 +106,4 @@ def test_a_robot_with_ros_is_mapped_and_driven_to_a_goal_and_stands_when_its_las
         stack.go(Pose2(-1.2, 0.0, 0.0))
         stack.until(lambda: stack.client.latest(topics.CMD_VEL).v > 0.05)
         robot.close()
-        stack.until(lambda: stack.client.latest(topics.CMD_VEL).v == 0.0, 5)
+        stack.until(lambda: stack.client.latest(topics.CMD_VEL).v == 0.0)

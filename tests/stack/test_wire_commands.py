@@ -4,11 +4,11 @@
 import json
 import os
 import signal
-import threading
 from collections.abc import Iterator
 
 import pytest
 
+from tests.stack.processes import once
 from tests.stack.test_client import ReachingNavigator, StopGuard
 from tests.stack.test_live import running
 from zenav.__main__ import _status
@@ -28,8 +28,9 @@ def test_a_message_is_published_once_or_again_and_again(toys, capsys):
     stack, guard = toys
     assert _status(["topic", "pub", "cmd/teleop", ZERO, *stack]) == 0
     assert capsys.readouterr().out == "cmd/teleop: 1 message as operator\n"
-    threading.Timer(1.5, os.kill, (os.getpid(), signal.SIGINT)).start()
+    ends = once(lambda: len(guard.driven) > 4, lambda: os.kill(os.getpid(), signal.SIGINT))
     assert _status(["topic", "pub", "cmd/teleop", ZERO, "--hz", "20", *stack]) == 0
+    ends.join()
     assert len(guard.driven) > 3
     assert set(guard.driven) == {(0.25, 0.0)}
 

@@ -27,7 +27,7 @@ from shared.topics import Publication
 from tests.unit.services.dashboard.pages import ROBOT
 from tests.websocket import WebSocketClient
 
-SOON = 20.0  # s that a busy machine may take
+SOON = 60.0  # s that a busy machine may take: a tool starts beside a whole stack
 DEVICE = "web://127.0.0.1:0"
 
 

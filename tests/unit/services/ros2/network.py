@@ -85,8 +85,8 @@ class Bridge:
     def wait_open(self) -> None:
         self.wait(lambda: self.states and self.states[-1][0])
 
-    def wait_event(self, kind: str) -> dict[str, Any]:
-        found = self.wait(lambda: [event for event in self.events if event["event"] == kind])
+    def wait_event(self, kind: str, limit: float = LIMIT_S) -> dict[str, Any]:
+        found = self.wait(lambda: [event for event in self.events if event["event"] == kind], limit)
         return found[0]
 
     def _take(self, publication: Publication) -> None:

@@ -27,6 +27,7 @@ from shared.requests import Cancel
 from tests.unit.services.ros2.network import GID, LIMIT_S, Bridge, bridged, free_port, repeated, router
 
 ROBOT = load_robot("x80sv").robot
+COMMAND_LIMIT_S = 60.0  # a command is a process, which a busy machine starts slowly
 CMD_VEL, TWIST = "/cmd_vel", "geometry_msgs/msg/Twist"
 
 
@@ -277,7 +278,7 @@ def test_a_request_to_the_stack_without_a_service_is_a_refusal(bridge):
 
 def test_a_command_that_fails_is_a_refusal_with_its_words(bridge):
     bridge.order(tool=["map", "save", "no_such_stack"], id=5)
-    event = bridge.wait_event("outcome")
+    event = bridge.wait_event("outcome", COMMAND_LIMIT_S)
     assert (event["id"], event["accepted"]) == (5, False)
     assert "hint:" in event["detail"]
 
