@@ -756,7 +756,7 @@ class RobotIntent(Message):
     holds points 0 .. held - 1, and wants those up to wanted - 1. `widths` is the free passage across the path.
 
     The order of two robots is by priority, then the age of the task, then the name. `claim` counts what it asked for.
-    `heard` are the robots that it hears.
+    `heard` are the robots that it hears. A `lost` robot holds nothing. Its pose is where it believes to be.
     """
 
     robot: Text
@@ -777,6 +777,7 @@ class RobotIntent(Message):
     waits_for: Annotated[tuple[str, ...], Unit("names of the robots that keep it from its next claim")]
     gives_way: Flag
     stuck: Flag
+    lost: Flag = False
 
     def problem(self) -> str | None:
         if self.held <= self.wanted <= len(self.xs):
@@ -817,7 +818,9 @@ class OtherRobots(Message):
     ys: Annotated[Float32s, Unit("m in map, robot by robot"), Shape("k t"), Within(-1e6, 1e6)]
 
     def problem(self) -> str | None:
-        return None if len(self.names) == len(self.radii) else "not one disc a name"
+        if len(self.names) != len(self.radii):
+            return "not one disc a name"
+        return "robots without a place" if len(self.names) and not self.xs.shape[1] else None
 
 
 # --- stack ----------------------------------------------------------------------------------------------------------

@@ -125,7 +125,8 @@ class PageHubs:
         if failed or not confirmed:
             text = f"STOP is not confirmed: {', '.join(failed) or 'no robot is heard'}"
             fields = {"t": "note", "level": "error", "text": text, "hint": "switch them off by hand"}
-        self._reply(order["client"], fields)
+        answers = {"answers": "stop_all"} if order["stop"] is None else {}
+        self._reply(order["client"], fields | answers)
 
     def _reply(self, client: int, fields: dict[str, Any]) -> None:
         for hub in self._hubs.values():

@@ -10,6 +10,7 @@ from services.mapper.grid.map_drawing import Drawing
 from services.mapper.localization.global_localization import GlobalLocalizer
 from services.mapper.localization.grid_keyframes import order_virtual_keyframes
 from services.mapper.localization.kidnap_detection import KidnapDetector
+from services.mapper.localization.search_again import SearchAgain
 from services.mapper.maps.map_editing import MapEditing
 from services.mapper.maps.map_file import SavedMap
 from services.mapper.maps.map_transfer import MapDownload, MapUpload, present_map_refusal, tiles_problem
@@ -66,14 +67,13 @@ class MapperService(Service):
             occupancy=config.occupancy,
             max_path_without_closure=config.max_path_without_closure,
         )
-        self.previous_run = PreviousRun()
+        self.previous_run, self.search_again = PreviousRun(), SearchAgain()
         self.download, self.upload, self.editing = MapDownload(), MapUpload(), MapEditing()
         self.graph_topic = GraphTopic()
         # the result of a job goes to the part that ordered it
         self.on_constraints, self.on_graph_optimized = slam.on_constraints, slam.on_graph_optimized
         self.on_local_map, self.on_localized = slam.on_local_map, slam.on_localized
-        self.on_virtual_keyframes = slam.on_virtual_keyframes
-        self.on_map_packed = self.download.on_map_packed
+        self.on_virtual_keyframes, self.on_map_packed = slam.on_virtual_keyframes, self.download.on_map_packed
 
     def warm_up(self) -> None:
         """Compiles all kernels, on a copy of the service."""
@@ -115,7 +115,7 @@ class MapperService(Service):
     @on(topics.OTHER_ROBOTS)
     def other_robots(self, others: OtherRobots) -> Out:
         self.scan_queue.robot_mask.others = others
-        return ()
+        return self.search_again.on_others(self.slam, others, self.now)
 
     @on(topics.SCAN)
     def scan(self, scan: LaserScan) -> Out:

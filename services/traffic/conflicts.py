@@ -2,8 +2,9 @@
 """What a robot publishes for the others, and where the paths of two robots exclude each other.
 
 Two points exclude each other where the robots would touch. In a wide passage that counts only for what a robot holds:
-the other one waits, and is driven around. In a narrow one no robot may wait on the path of another. Both robots find
-the same points from the same two messages, so no segments of the map have to agree.
+the other one waits, and is driven around. In a narrow one no robot may wait on the path of another. Where two face each
+other, one drives around the other, which waits: two that swerve at once may choose the same side. Both robots find the
+same points from the same two messages, so no segments of the map have to agree.
 """
 
 from dataclasses import dataclass, field
@@ -67,13 +68,15 @@ class Exclusions:
 
     near: (n, m) bool, the robots would touch.  narrow: (n, m) bool, and they cannot pass each other there.
     place: (n,) bool, the other robot stands there, and it is narrow.  own_place: (m,) bool, the same for this robot on
-    the other's path.
+    the other's path.  facing: (n, m) bool, each of two robots is in the other's way where it is wide. One drives around
+    the other one, which does not come nearer meanwhile.
     """
 
     near: Bools
     narrow: Bools
     place: Bools
     own_place: Bools
+    facing: Bools
 
     @property
     def on_path(self) -> Bools:
@@ -83,20 +86,29 @@ class Exclusions:
     @property
     def contested(self) -> Bools:
         """(n,) bool: points that the other robot may ask for, too."""
-        return np.asarray(self.near.any(axis=1) | self.place)
+        return np.asarray(self.near.any(axis=1) | self.place | self.facing.any(axis=1))
 
 
 def exclusions(me: TrafficRobot, other: TrafficRobot, clearances: Clearances) -> Exclusions:
     """How two robots exclude each other on their paths."""
     passing = passing_width(me, other, clearances)
     near = _too_near(me, other, other.path, clearances)
-    own_place = near_place(other, me, clearances) & (other.widths < passing)
+    over_other, over_me = near_place(me, other, clearances), near_place(other, me, clearances)
+    place, own_place = over_other & (me.widths < passing), over_me & (other.widths < passing)
+    is_wide = not (place.any() or own_place.any())
+    towards = over_other | _shifted(over_other, 1) | _shifted(over_other, 2)  # and the two points before
     return Exclusions(
         near=near,
         narrow=near & (np.minimum(me.widths[:, None], other.widths[None, :]) < passing),
-        place=near_place(me, other, clearances) & (me.widths < passing),
+        place=place,
         own_place=own_place,
+        facing=towards[:, None] & over_me & is_wide,
     )
+
+
+def _shifted(mask: Bools, n: int) -> Bools:
+    """The mask, n points nearer to the robot."""
+    return np.concatenate((mask[n:], np.zeros(min(n, len(mask)), bool)))
 
 
 def near_place(me: TrafficRobot, other: TrafficRobot, clearances: Clearances) -> Bools:

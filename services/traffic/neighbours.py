@@ -50,9 +50,14 @@ class Neighbours:
 
     def __init__(self) -> None:
         self._by_name: dict[str, Neighbour] = {}
+        self._lost: dict[str, tuple[RobotIntent, int]] = {}  # with ns of its arrival
 
     def hear(self, intent: RobotIntent, now: int) -> None:
-        """Takes a message that arrived at `now`, ns."""
+        """Takes a message that arrived at `now`, ns. That of a lost robot renews no lease."""
+        if intent.lost:
+            self._lost[intent.robot] = intent, now
+            return
+        self._lost.pop(intent.robot, None)
         known, delay = self._by_name.get(intent.robot), now - intent.stamp
         if known is None:
             known = self._by_name[intent.robot] = Neighbour(intent, told_by(intent), now, MinimumDelay(delay, now))
@@ -68,6 +73,7 @@ class Neighbours:
 
     def forget(self, now: int) -> None:
         """Drops robots that were silent for long."""
+        self._lost = {name: said for name, said in self._lost.items() if 0 <= now - said[1] < LEASE_NS}
         self._by_name = {name: n for name, n in self._by_name.items() if 0 <= now - n.heard < MEMORY_NS}
 
     def _on(self, map_name: str) -> Iterator[Neighbour]:
@@ -77,6 +83,11 @@ class Neighbours:
     def alive(self, map_name: str, now: int) -> list[Neighbour]:
         """Those whose lease runs."""
         return [n for n in self._on(map_name) if now - n.heard < LEASE_NS]
+
+    def lost(self, map_name: str, now: int) -> list[RobotIntent]:
+        """The last messages of robots whose pose is lost, while these come, sorted by name."""
+        said = [intent for intent, heard in self._lost.values() if 0 <= now - heard < LEASE_NS]
+        return sorted((i for i in said if map_name and i.map == map_name), key=lambda i: i.robot)
 
     def silent(self, map_name: str, now: int) -> list[Neighbour]:
         """Those that were heard lately, and are not now."""

@@ -64,13 +64,17 @@ def no_other_robot(now: int) -> RightOfWay:
     )
 
 
-def other_robots(there: Sequence[Neighbour], now: int) -> OtherRobots:
-    """The others where they are, and where they will be."""
-    places = np.array([predicted_places(neighbour, now) for neighbour in there], np.float32).reshape(-1, N_STEPS, 2)
+def other_robots(there: Sequence[Neighbour], lost: Sequence[RobotIntent], now: int) -> OtherRobots:
+    """The others where they are, and where they will be. lost: robots that stand where they believe to be."""
+    moving = [predicted_places(neighbour, now) for neighbour in there]
+    standing = [np.tile((robot.map_from_base.x, robot.map_from_base.y), (N_STEPS, 1)) for robot in lost]
+    places = np.array([*moving, *standing], np.float32).reshape(-1, N_STEPS, 2)
     return OtherRobots(
         stamp=now,
-        names=tuple(neighbour.robot.name for neighbour in there),
-        radii=np.array([neighbour.robot.radius for neighbour in there], np.float32),
+        names=(*(neighbour.robot.name for neighbour in there), *(robot.robot for robot in lost)),
+        radii=np.array(
+            [*(neighbour.robot.radius for neighbour in there), *(robot.radius for robot in lost)], np.float32
+        ),
         period=PERIOD_S,
         xs=np.ascontiguousarray(places[:, :, 0]),
         ys=np.ascontiguousarray(places[:, :, 1]),
@@ -84,10 +88,12 @@ def intent(
     map_name: str,
     map_from_base: Pose2,
     velocity: tuple[float, float],
+    lost: bool,
     now: int,
 ) -> RobotIntent:
-    """What the others hear of this robot. velocity: m/s, rad/s."""
+    """What the others hear of this robot. velocity: m/s, rad/s.  lost: its pose is, so it has no path."""
     _, priority, since, name = me.order
+    path = me.path[:0] if lost else me.path
     return RobotIntent(
         stamp=now,
         robot=name,
@@ -96,11 +102,11 @@ def intent(
         v=velocity[0],
         w=velocity[1],
         radius=me.radius,
-        xs=me.path[:, 0].astype(np.float32),
-        ys=me.path[:, 1].astype(np.float32),
-        widths=me.widths.astype(np.float32),
-        held=me.held,
-        wanted=me.wanted,
+        xs=path[:, 0].astype(np.float32),
+        ys=path[:, 1].astype(np.float32),
+        widths=me.widths[: len(path)].astype(np.float32),
+        held=min(me.held, len(path)),
+        wanted=min(me.wanted, len(path)),
         priority=-priority,
         since=since,
         claim=me.claim,
@@ -108,6 +114,7 @@ def intent(
         waits_for=me.waits_for,
         gives_way=giving_way.refuge is not None,
         stuck=giving_way.stuck,
+        lost=lost,
     )
 
 

@@ -183,8 +183,10 @@ def _hindered(me: TrafficRobot, other: TrafficRobot, pair: Exclusions) -> Bools:
     What a robot before this one wants counts only as far as it gets there before this robot has left its way.
     """
     held = pair.narrow[:, : other.held].any(axis=1) | pair.near[:, BESIDE : other.held].any(axis=1) | pair.place
+    held |= pair.facing[:, BESIDE : other.held].any(axis=1)
     if other.order > me.order:
         return np.asarray(held)
+    held |= pair.facing[:, BESIDE : other.wanted].any(axis=1)  # it drives around this robot
     mine = pair.own_place | pair.narrow[: me.held].any(axis=0) | pair.near[BESIDE : me.held].any(axis=0)
     wanted = min(other.wanted, _first(mine, 0, other.wanted))
     return np.asarray(held | pair.near[:, BESIDE:wanted].any(axis=1) | pair.narrow[:, :wanted].any(axis=1))

@@ -154,7 +154,8 @@ class TrafficService(Service):
     def tick(self) -> Out:
         """Publishes this robot's intent, and with other robots there its right of way and their places.
 
-        A lost robot publishes no intent: the others would plan around a place where it is not.
+        A lost robot says where it believes to be, and others that are lost use it. Robots that start side by side hide
+        the walls from each other. They find themselves once they leave each other out of their scans.
         """
         self.n_ticks += 1
         self._update_frame()
@@ -167,16 +168,19 @@ class TrafficService(Service):
             self.is_active = True
             self._take_plan()
             yield from self._decide()
-            yield topics.OTHER_ROBOTS(other_robots(there, self.now))
         elif self.is_active or self.n_ticks == ALONE_FROM:
             self.is_active = False
             self.giving_way.end()
             yield topics.RIGHT_OF_WAY(no_other_robot(self.now))
+        is_lost = self.pose_tracker.is_lost
+        lost = self.neighbours.lost(self.frame.name, self.now) if is_lost else []
+        if active or lost:
+            yield topics.OTHER_ROBOTS(other_robots(there, lost, self.now))
         if self.now - self.pose_stamp > MAX_POSE_AGE_NS:
             self.v = self.w = 0.0
         here = self.pose_tracker.map_from_base
         is_due = active or self.n_ticks % ALONE_EVERY == 0
-        if here is not None and is_due and not self.pose_tracker.is_lost:
+        if here is not None and is_due:
             me = self.reservation.told(here.x, here.y, self._order())
             told = intent(
                 me=me,
@@ -185,6 +189,7 @@ class TrafficService(Service):
                 map_name=self.frame.name,
                 map_from_base=here,
                 velocity=(self.v, self.w),
+                lost=is_lost,
                 now=self.now,
             )
             yield topics.INTENT(moved_intent(told, self.frame.common_from_map))

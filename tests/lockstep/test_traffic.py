@@ -14,7 +14,7 @@ from shared.task_state import FINAL_STATES
 from tests.lockstep.stack import QUICK
 from tests.lockstep.test_two_robots import assert_replays
 from zenav.scenario.path_finder import PathFinder
-from zenav.scenario.random_goals import HEARD_S, RandomGoals, packed_map
+from zenav.scenario.random_goals import RandomGoals, place
 from zenav.scenario.robot_group import RobotGroup
 
 pytestmark = pytest.mark.timeout(600)  # with an empty cache the kernels are compiled here
@@ -51,10 +51,8 @@ class TwoRooms:
             member.lockstep.watch(topics.NAV_STATUS.key, lambda nav, to=reasons: to.add((nav.reason, nav.detail)))
             member.lockstep.watch(topics.RIGHT_OF_WAY.key, lambda told, of=member.name: self.told.update({of: told}))
         paths = PathFinder(self.robots.world, self.red.scenario.file.robot)
-        content = packed_map(paths)
-        for member in self.robots.members:
-            RandomGoals(member, paths, np.random.default_rng(0)).give_map(content, self.robots.run)
-        self.robots.run(HEARD_S)
+        drivers = [RandomGoals(member, paths, np.random.default_rng(0)) for member in self.robots.members]
+        place(drivers, paths, self.robots.run)
 
     def go(self, member, goal):
         assert member.ask(requests.NAVIGATE, Navigate(member.now(), (goal,), 0.0, 1, True)).accepted

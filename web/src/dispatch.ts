@@ -8,7 +8,7 @@ import { liveTrack } from "./map/robot_pose";
 import { loadPlaces } from "./map/commands";
 import { type Health, type LogLine, type Odometry } from "./messages";
 import { notify } from "./notices";
-import { fleet } from "./fleet";
+import { fleet, stopAllPending } from "./fleet";
 import { DEBUG_LAYERS, layers, pageName } from "./preferences";
 import { type Hello, type ServerFrame } from "./protocol";
 import { appendLog, clients, connected, drivers, health, hello, latest, topicOf, type SingleKey } from "./state";
@@ -36,7 +36,10 @@ export function dispatcher(onTiles: (frame: TilesFrame) => void): (frame: Server
     else if (frame.t === "drivers") drivers.value = frame;
     else if (frame.t === "clients") clients.value = frame.clients;
     else if (frame.t === "fleet") fleet.value = frame.robots;
-    else if (frame.t === "note") notify(frame.level, frame.text, frame.hint);
+    else if (frame.t === "note") {
+      if (frame.answers === "stop_all") stopAllPending.value = false;
+      notify(frame.level, frame.text, frame.hint);
+    }
   };
 }
 

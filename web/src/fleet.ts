@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// The robots that the page's server hears: which one is selected, and which stand on the map that is shown.
+// The robots that the page's server hears: which one is selected, and which stand on the map that is shown. STOP for all.
 
-import { computed, signal } from "@preact/signals";
+import { computed, effect, signal } from "@preact/signals";
 
 import { send } from "./connection";
 import { type FleetRobot } from "./protocol";
-import { hello, mapName } from "./state";
+import { connected, hello, mapName } from "./state";
 import { language } from "./preferences";
 
 export const fleet = signal<readonly FleetRobot[]>([]);
@@ -52,8 +52,23 @@ export function selectRobot(name: string): void {
   if (isSite.peek() && name !== ownName.peek()) location.search = `?robot=${encodeURIComponent(name)}`;
 }
 
+const STOP_ALL_REPEAT_MS = 1000; // the server takes some seconds, and one order at a time
+
+/** STOP for all was pressed here, and the server has not answered it. */
+export const stopAllPending = signal(false);
+
 export function stopAll(): void {
-  send({ t: "stop_all" });
+  stopAllPending.value = true;
+}
+
+/** Sends STOP for all until the server answers, also after a lost link comes back. To be called once. */
+export function watchStopAll(): void {
+  effect(() => {
+    if (!stopAllPending.value || !connected.value) return undefined;
+    send({ t: "stop_all" });
+    const timer = setInterval(() => send({ t: "stop_all" }), STOP_ALL_REPEAT_MS);
+    return () => clearInterval(timer);
+  });
 }
 
 const STATES: Readonly<Record<string, readonly [string, string]>> = {

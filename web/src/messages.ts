@@ -629,6 +629,7 @@ export interface RobotIntent {
   readonly waits_for: readonly string[];
   readonly gives_way: boolean;
   readonly stuck: boolean;
+  readonly lost: boolean;
 }
 
 /** How far this robot may drive, as far as other robots are concerned. Not `active`: none is heard on its map. */
@@ -835,7 +836,7 @@ export const FIELDS: Readonly<Record<string, Readonly<Record<string, string>>>> 
   RuntimeSettings: { stamp: "number", names: "list of string", values: "list of string" },
   Health: { stamp: "number", name: "string", pid: "number", state: "string", events: "number", bad_messages: "number", dropped: "number", intruders: "number", last_error: "string", cpu: "number", memory: "number", handler_ms: "number", rates: "list of (string, number, number)", rejected: "list of (string, string, number)" },
   LogLine: { stamp: "number", level: "string", text: "string" },
-  RobotIntent: { stamp: "number", robot: "string", map: "string", map_from_base: "pose", v: "number", w: "number", radius: "number", xs: "array f4 1", ys: "array f4 1", widths: "array f4 1", held: "number", wanted: "number", priority: "number", since: "number", claim: "number", heard: "list of (string, number)", waits_for: "list of string", gives_way: "boolean", stuck: "boolean" },
+  RobotIntent: { stamp: "number", robot: "string", map: "string", map_from_base: "pose", v: "number", w: "number", radius: "number", xs: "array f4 1", ys: "array f4 1", widths: "array f4 1", held: "number", wanted: "number", priority: "number", since: "number", claim: "number", heard: "list of (string, number)", waits_for: "list of string", gives_way: "boolean", stuck: "boolean", lost: "boolean" },
   RightOfWay: { stamp: "number", active: "boolean", xs: "array f4 1", ys: "array f4 1", whole: "boolean", waits_for: "list of string", gives_way: "boolean", refuge: "pose", speed_share: "number", closed_xs: "array f4 1", closed_ys: "array f4 1", closed_radii: "array f4 1" },
   OtherRobots: { stamp: "number", names: "list of string", radii: "array f4 1", period: "number", xs: "array f4 2", ys: "array f4 2" },
   Clock: { stamp: "number", rate: "number" },

@@ -81,6 +81,7 @@ export interface Note {
   readonly level: "info" | "warning" | "error";
   readonly text: string;
   readonly hint: string;
+  readonly answers?: "stop_all";
 }
 
 export type ServerFrame =

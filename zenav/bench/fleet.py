@@ -21,7 +21,7 @@ from shared.messages import RobotIntent
 from zenav.console.json_report import check_writable, write_report
 from zenav.console.table import show_table
 from zenav.scenario.path_finder import PathFinder
-from zenav.scenario.random_goals import HEARD_S, LOOK_S, MOVES_MPS, RandomGoals, RobotRecord, packed_map
+from zenav.scenario.random_goals import LOOK_S, MOVES_MPS, RandomGoals, RobotRecord, place
 from zenav.scenario.robot_group import GroupMember, RobotGroup
 
 MAX_STANDSTILL_S = 60.0  # s without motion on the way to a goal: a deadlock
@@ -84,8 +84,8 @@ class FleetRun:
 
     @property
     def is_good(self) -> bool:
-        """Nothing was touched, and no robot stood on its way for MAX_STANDSTILL_S."""
-        return self.n_contacts == 0 and self.longest_standstill <= MAX_STANDSTILL_S
+        """Goals were reached, nothing was touched, and no robot stood on its way for MAX_STANDSTILL_S."""
+        return self.n_reached > 0 and self.n_contacts == 0 and self.longest_standstill <= MAX_STANDSTILL_S
 
 
 def fleet(
@@ -144,15 +144,10 @@ def drive(
     with RobotGroup(robot, world, names, seed, settings) as group:
         group.hears = lambda speaker, listener: coordinated
         paths = PathFinder(group.world, group.members[0].scenario.file.robot)
-        content = packed_map(paths)
         drivers = [
             FleetDriver(member, paths, np.random.default_rng([seed, i])) for i, member in enumerate(group.members)
         ]
-        for driver in drivers:
-            driver.give_map(content, group.run)
-        group.run(HEARD_S)
-        for driver in drivers:  # robots side by side hide the walls: now each one knows where the others stand
-            driver.give_pose(group.run)
+        place(drivers, paths, group.run)
         begin = group.now
         spoken = _Spoken(group)
         while group.now < begin + seconds:

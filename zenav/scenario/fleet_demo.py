@@ -10,7 +10,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
 from functools import partial
@@ -29,7 +29,7 @@ from zenav.console.json_report import write_report
 from zenav.console.run_folder import new_run_folder
 from zenav.console.shutdown import StopFlag, stop_on_signal
 from zenav.scenario.path_finder import PathFinder
-from zenav.scenario.random_goals import HEARD_S, LOOK_S, RandomGoals, packed_map
+from zenav.scenario.random_goals import LOOK_S, RandomGoals, place
 from zenav.scenario.robot_group import RobotGroup
 from zenav.scenario.scenario import Scenario, load_scenario
 from zenav.scenario.shared_world import SharedWorld, start_poses
@@ -101,7 +101,7 @@ def _run_lockstep(
     with RobotGroup(robot, world, names, seed, settings, folder=folder) as group:
         paths = PathFinder(group.world, group.members[0].scenario.file.robot)
         drivers = [RandomGoals(m, paths, np.random.default_rng([seed, i])) for i, m in enumerate(group.members)]
-        _prepare(drivers, paths, group.run)
+        place(drivers, paths, group.run)
         begin = shown = group.now
         while group.now < begin + seconds and not stop.is_set():
             group.run(LOOK_S)
@@ -111,16 +111,6 @@ def _run_lockstep(
                 shown = group.now
                 _show(drivers, group.now - begin)
     return drivers
-
-
-def _prepare(drivers: Sequence[RandomGoals], paths: PathFinder, wait: Callable[[float], None]) -> None:
-    """Gives each robot the map and its pose on it."""
-    content = packed_map(paths)
-    for driver in drivers:
-        driver.give_map(content, wait)
-    wait(HEARD_S)
-    for driver in drivers:
-        driver.give_pose(wait)
 
 
 def _show(drivers: Sequence[RandomGoals], seconds: float) -> None:
@@ -197,7 +187,7 @@ class LiveFleet:
             drivers = [
                 RandomGoals(r, self._paths, np.random.default_rng([self.seed, i])) for i, r in enumerate(self._robots)
             ]
-            _prepare(drivers, self._paths, self._wait)
+            place(drivers, self._paths, self._wait)
             begin = shown = time.monotonic()
             while time.monotonic() < begin + seconds and not stop.is_set():
                 self._wait(LOOK_S)

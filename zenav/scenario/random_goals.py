@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Robots with the true map and their poses on it drive to random goals, one after the other: in lockstep or live."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -11,6 +11,7 @@ import numpy as np
 
 from services.mapper.maps.map_file import pack_map
 from shared import requests
+from shared.config import UserError
 from shared.geometry import Pose2
 from shared.messages import Localization, MapMode, NavState, NavStatus, PoseEstimate, Truth
 from shared.requests import Navigate
@@ -21,8 +22,8 @@ from zenav.maps.foreign_map import read_map
 from zenav.scenario.path_finder import PathFinder
 
 LOOK_S = 0.2  # s between two looks at the robots
-SETTLES_S = 1.0  # s until a mapper has its map
-HEARD_S = 2.5  # s until the robots hear each other on one map
+HEARD_S = 2.5  # s until a mapper has its map, and the robots hear each other on it
+MAX_WAITS = 4  # of HEARD_S
 MIN_WAY_M = 3.0  # m to a new goal
 MAX_DRAWS = 1000  # poses that are drawn for one goal; of a world that is too small the farthest one is taken
 MOVES_MPS, MOVES_RPS = 0.02, 0.05
@@ -72,17 +73,10 @@ class RandomGoals:
         self._task_id = -1
         self._standstill = 0.0
 
-    def give_map(self, content: bytes, wait: Callable[[float], None]) -> None:
-        """Lets the mapper track the robot on the true map from its true pose."""
-        robot = self.robot
-        start_mode(robot, wait, MapMode.LOCALISE, give_map(robot, wait, content), robot.start, robot.world_name)
-        wait(SETTLES_S)
-
-    def give_pose(self, wait: Callable[[float], None]) -> None:
-        """Gives the mapper the pose again, where it does not know it yet."""
-        if self.robot.pose is None or self.robot.pose.state is Localization.LOST:
-            start_mode(self.robot, wait, MapMode.LOCALISE, at=self.robot.start)
-            wait(SETTLES_S)
+    @property
+    def is_lost(self) -> bool:
+        """Whether the mapper does not know the pose."""
+        return self.robot.pose is None or self.robot.pose.state is Localization.LOST
 
     def step(self) -> None:
         """Looks at the robot after LOOK_S."""
@@ -114,6 +108,24 @@ class RandomGoals:
         reply = self.robot.ask(requests.NAVIGATE, Navigate(self.robot.now(), (goal,), 0.0, 1, True))
         if reply.accepted:
             self._task_id, self._standstill = reply.task_id, 0.0
+
+
+def place(drivers: Sequence[RandomGoals], paths: PathFinder, wait: Callable[[float], None]) -> None:
+    """Lets each mapper track its robot on the true map from its true pose.
+
+    Robots side by side hide the walls from each other. Their mappers search again once they hear the others. Raises
+    UserError where that does not help.
+    """
+    content = packed_map(paths)
+    for driver in drivers:
+        robot = driver.robot
+        start_mode(robot, wait, MapMode.LOCALISE, give_map(robot, wait, content), robot.start, robot.world_name)
+    for _ in range(MAX_WAITS):
+        wait(HEARD_S)
+        lost = [driver.robot.name for driver in drivers if driver.is_lost]
+        if not lost:
+            return
+    raise UserError(f"{', '.join(lost)} cannot be found on the map", "name fewer robots")
 
 
 def packed_map(paths: PathFinder) -> bytes:

@@ -277,10 +277,8 @@ def test_stop_of_all_that_reaches_no_robot_is_an_error():
         hubs.take({"client": 1, "stop": None, "pressed": True, "by": "anna"})
         while not page.frames:
             await asyncio.sleep(0.01)
-        assert (page.frames[0]["level"], page.frames[0]["text"]) == (
-            "error",
-            "STOP is not confirmed: no robot is heard",
-        )
+        answer = page.frames[0]["level"], page.frames[0]["text"], page.frames[0]["answers"]
+        assert answer == ("error", "STOP is not confirmed: no robot is heard", "stop_all")
 
     asyncio.run(run())
 

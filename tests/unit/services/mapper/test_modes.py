@@ -13,7 +13,7 @@ from services.mapper.localization.global_localization import PoseHypothesis
 from services.mapper.maps.map_file import pack_map, unpack_map
 from shared import reasons, requests
 from shared.geometry import Pose2, wrapped
-from shared.messages import Localization, MapMode
+from shared.messages import Localization, MapMode, OtherRobots
 from shared.requests import StartMap
 from tests.unit.services.mapper.buildings import ALIKE, Building, drives
 from tests.unit.services.mapper.rooms import LAP, RING, START, MapRequester, RoomDrive, box, laps
@@ -87,6 +87,59 @@ def test_near_a_given_pose_the_robot_is_found_without_driving(mapped):
     assert lap.driven.poses[-1].mode is MapMode.LOCALISE
     assert lap.off(first)[0] < 0.06
     assert lap.off(first)[1] < 0.03
+
+
+class Crowded(Lap):
+    """A lap with robots around the robot, at its true places on the map that begins at `first`."""
+
+    N, APART, HALF = 3, 1.0, 0.2  # robots; m to their centres, m of half a side
+
+    def __init__(self, first):
+        super().__init__()
+        self.carry(30)
+        self.at = first.inverse() @ self.driven.true
+        angles = np.arange(self.N) * 2 * np.pi / self.N
+        self.places = self.APART * np.column_stack((np.cos(angles), np.sin(angles)))
+        inside = self.driven.true @ self.places
+        boxes = [box(x - self.HALF, y - self.HALF, x + self.HALF, y + self.HALF) for x, y in inside]
+        self.driven.segments = np.concatenate((RING, *boxes))
+
+    def hear(self, n):
+        """The robot stands for a sweep. Then the mapper gets the places of n robots."""
+        self.driven.step(Pose2())
+        x, y = (self.at @ self.places[:n]).T[:, :, None].astype(np.float32)
+        radii = np.full(n, np.hypot(self.HALF, self.HALF), np.float32)
+        names = tuple(f"robot_{i}" for i in range(n))
+        mapper = self.driven.mapper
+        mapper.now = self.driven.now
+        self.driven.take(mapper.other_robots(OtherRobots(self.driven.now, names, radii, 0.25, x, y)))
+
+
+def test_a_robot_that_others_hide_the_walls_from_is_found_where_it_stands_once_it_hears_them(mapped):
+    content, first = mapped
+    lap = Crowded(first)
+    lap.start(MapMode.LOCALISE, content, lap.at)
+    for _ in range(15):
+        lap.driven.step(Pose2())
+    assert lap.state is LOST
+    for _ in range(8):
+        lap.hear(lap.N)
+    assert lap.state is GOOD
+    assert lap.off(first)[0] < 0.06
+    assert sum("beside other robots" in line for line in lap.driven.logs) == 1
+
+
+def test_a_search_beside_robots_that_stand_is_not_begun_again_and_again(mapped):
+    content, first = mapped
+    lap = Crowded(first)
+    lap.start(MapMode.LOCALISE, content, lap.at)
+    for _ in range(30):
+        lap.hear(1)
+    assert lap.state is LOST
+    assert sum("beside other robots" in line for line in lap.driven.logs) == 1
+    for _ in range(10):
+        lap.hear(lap.N)
+    assert lap.state is GOOD
 
 
 def test_a_wrong_pose_is_not_believed_and_the_robot_is_found_elsewhere_by_driving(mapped):

@@ -34,5 +34,6 @@ def intent(stamp, name="blue", at=ORIGIN, path=(), **changes):
         waits_for=(),
         gives_way=False,
         stuck=False,
+        lost=False,
     )
     return replace(message, **changes)

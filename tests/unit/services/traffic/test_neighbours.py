@@ -105,5 +105,5 @@ def test_a_robot_is_predicted_on_its_path_and_no_farther_than_it_holds():
 
 
 def test_the_places_of_no_robots_are_a_message_too():
-    message = other_robots([], 10**13)
+    message = other_robots([], [], 10**13)
     assert decode(OtherRobots, encode(message, Envelope("traffic", "s", 0, 1)))[0].xs.shape[0] == 0

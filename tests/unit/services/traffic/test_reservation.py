@@ -139,6 +139,30 @@ def test_where_it_is_wide_robots_pass_each_other():
     assert not pair.on_path.any(), "each place is a waiting place"
 
 
+@pytest.mark.parametrize("wait", [1, 2, 5])
+def test_of_two_that_face_each_other_one_waits_until_the_other_has_driven_around_it(wait):
+    """Two that swerve at once may choose the same side. wait: ticks of a message."""
+    red = Car("red", line(0, 9), since=2, width=WIDE)
+    blue = Car("blue", line(2, -7), since=1, width=WIDE)
+    messages = [(red.message(), blue.message())]
+    went = []
+    for tick in range(60):
+        messages.append((red.message(), blue.message()))
+        heard = messages[max(0, len(messages) - 1 - wait)]
+        red.heard, blue.heard = {"blue": heard[1]}, {"red": heard[0]}
+        for car in (red, blue):
+            car.decide((tick + 1) * TICK_NS)
+        is_before = blue.x - red.x > 1.5 * CELL  # not yet beside each other
+        going = [car.name for car in (red, blue) if is_before and car.reservation.held > 1]
+        assert len(going) < 2, f"tick {tick}: both swerve"
+        went += [name for name in going if name not in went]
+        for car in (red, blue):
+            car.drive()
+    assert went == ["blue"], "the one with the older task"
+    assert red.arrived
+    assert blue.arrived
+
+
 def test_no_robot_drives_a_new_path_before_the_others_have_heard_of_it():
     red, blue = Car("red", line(0, 9)), Car("blue", line(20, 12))
     red.heard = {"blue": blue.message()}

@@ -72,6 +72,19 @@ def test_a_run_is_the_sum_of_its_robots_and_its_longest_stand():
     assert not run.is_good
 
 
+@pytest.mark.parametrize(
+    ("record", "is_good"),
+    [
+        (RobotRecord("a", n_reached=1, longest_standstill=60.0), True),
+        (RobotRecord("a", n_reached=0, n_failed=19), False),
+        (RobotRecord("a", n_reached=5, n_contacts=1), False),
+        (RobotRecord("a", n_reached=5, longest_standstill=60.2), False),
+    ],
+)
+def test_a_good_run_reaches_goals_touches_nothing_and_never_stands_for_long(record, is_good):
+    assert FleetRun([record], True, 100.0, 1.0).is_good == is_good
+
+
 def test_two_robots_in_a_room_drive(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     out = tmp_path / "fleet.json"

@@ -4,9 +4,11 @@
 from math import pi
 
 import numpy as np
+import pytest
 
 from services.mapper.front_end.robot_mask import MAX_AGE_NS, RobotMask
 from shared import sample_messages as sample
+from shared.codec import CodecError, Envelope, decode, encode
 from shared.config import load_robot
 from shared.geometry import Pose2
 from shared.messages import OtherRobots
@@ -45,3 +47,10 @@ def test_places_that_are_stamped_ahead_count_as_those_of_now():
         np.float32(ahead.y) + goes_away,
     )
     assert (np.asarray(mask.masked(scan, LASER.mount, ROBOT, NOW).ranges) == 0.0).any()
+
+
+def test_robots_without_a_place_are_refused_before_they_arrive():
+    no_places = np.zeros((1, 0), np.float32)
+    others = OtherRobots(NOW, ("blue",), np.full(1, 0.3, np.float32), 0.25, no_places, no_places)
+    with pytest.raises(CodecError, match="robots without a place"):
+        decode(OtherRobots, encode(others, Envelope("traffic", "t", 0, NOW)))
