@@ -7,7 +7,6 @@ in the user's cache. The folder's name is a digest of the package, so another ve
 """
 
 import fcntl
-import gc
 import hashlib
 import importlib
 import os
@@ -70,20 +69,52 @@ def serialize_saves() -> None:
 
 
 def load_without_compiler() -> None:
-    """From now on a kernel comes from the cache without the parts of numba that only compiling needs.
+    """From now on a kernel comes from the cache as machine code, without what only compiling needs.
 
-    numba imports them before it looks into its cache, and for the environments of its own functions within a kernel.
-    They import scipy.linalg in their turn: 23 MB and 0.6 s together. A compilation imports them itself.
+    Without parts of numba: it imports them before it looks into its cache, and for the environments of its own
+    functions within a kernel. They import scipy.linalg in their turn: 23 MB and 0.6 s together. A compilation imports
+    them itself.
+
+    Without LLVM's module and the typed source: numba keeps them to compile other kernels that call this one. They are
+    20 MB of a stack, and half of the time of loading. Such a compilation reads the module from the cache then.
     """
     if "numba" not in sys.modules:
         return
-    from numba.core import caching, environment
+    from numba.core import caching, codegen, environment
     from numba.core.runtime.nrt import rtsys
+
+    if getattr(caching.Cache.load_overload, "is_without_compiler", False):
+        return
+    library_class: Any = codegen.CPUCodeLibrary
+    unserialize_whole = library_class._unserialize
+    rebuild_whole: Any = caching.CompileResultCacheImpl.rebuild
 
     def load_overload(self: Any, signature: Any, target_context: Any) -> Any:
         rtsys.initialize(target_context)  # memory and its counts, which machine code calls
         with self._guard_against_spurious_io_errors():
-            return self._load_overload(signature, target_context)
+            loaded = self._load_overload(signature, target_context)
+        if loaded is None:
+            return None
+        library = loaded.library
+        library._get_module_for_linking = partial(_module_of, self, signature, library)
+        return loaded._replace(type_annotation="")
+
+    def rebuild(self: Any, target_context: Any, payload: Any) -> Any:
+        """numba asks for the address of these symbols only where it has noted them, which it does for whole modules."""
+        description: Any = payload[1]
+        symbols = description.llvm_cpython_wrapper_name, description.llvm_func_name
+        target_context.codegen()._engine._defined_symbols.update(symbols)
+        return rebuild_whole(self, target_context, payload)
+
+    def unserialize(code_generator: Any, state: Any) -> Any:
+        name, kind, data = state
+        if kind != "object":  # no machine code
+            return unserialize_whole(code_generator, state)
+        library = code_generator.create_library(name)
+        library.enable_object_caching()
+        library._set_compiled_object(data[0])
+        library._finalize_final_module()
+        return library
 
     def import_module(name: str) -> ModuleType:
         """A module of numba that is not yet imported is only its name here: no machine code looks into it."""
@@ -91,42 +122,22 @@ def load_without_compiler() -> None:
             ModuleType(name) if name.startswith("numba.") and name not in sys.modules else importlib.import_module(name)
         )
 
+    load_overload.is_without_compiler = True  # type: ignore[attr-defined]
     caching.Cache.load_overload = load_overload  # type: ignore[method-assign]
+    caching.CompileResultCacheImpl.rebuild = rebuild  # type: ignore[method-assign]
+    library_class._unserialize = staticmethod(unserialize)
     vars(environment)["importlib"] = SimpleNamespace(import_module=import_module)
 
 
-def release_intermediate_code() -> None:
-    """Frees LLVM's modules and the typed source of the kernels that were loaded from the cache: 20 MB of a stack.
+def _module_of(cache: Any, signature: Any, library: Any) -> Any:
+    """The LLVM module of a kernel that came from the cache, read there once. Raises FileNotFoundError without it."""
+    from llvmlite import binding
 
-    numba keeps them to compile other kernels that call these. Such a compilation reads them from the cache again.
-    """
-    if "numba" not in sys.modules:
-        return
-    from numba.core import sigutils
-    from numba.core.registry import CPUDispatcher
-
-    dispatchers: list[Any] = [item for item in gc.get_objects() if type(item) is CPUDispatcher]
-    for dispatcher in dispatchers:
-        for loaded in dispatcher._cache_hits:  # signatures, or tuples of the arguments' types
-            arguments, _ = sigutils.normalize_signature(loaded)  # type: ignore[no-untyped-call]  # numba's own
-            compiled: Any = dispatcher.overloads.get(tuple(arguments))
-            if compiled is None or compiled.library._shared_module is None:
-                continue
-            library = compiled.library
-            library._shared_module.close()
-            library._shared_module = None
-            library._get_module_for_linking = partial(_reloaded_module, dispatcher, loaded, library)
-            dispatcher.overloads[tuple(arguments)] = compiled._replace(type_annotation="")
-
-
-def _reloaded_module(dispatcher: Any, signature: Any, library: Any) -> Any:
-    """The LLVM module of a released kernel, from the cache, once for a process. Raises FileNotFoundError without it."""
     if library._shared_module is None:
-        again = dispatcher._cache.load_overload(signature, dispatcher.targetctx)
-        if again is None:
-            raise FileNotFoundError(
-                f"the compiled kernel {dispatcher.__name__} is no more in the cache: run zenav warm"
-            )
-        library._shared_module = again.library._shared_module
-        library._reloaded = again  # it owns the module
+        payload = cache._cache_file.load(cache._index_key(signature, library.codegen))
+        if payload is None:
+            name = cache._py_func.__name__
+            raise FileNotFoundError(f"the compiled kernel {name} is no more in the cache: run zenav warm")
+        (_, _, (_, module)), *_ = payload
+        library._shared_module = binding.parse_bitcode(module)
     return library._shared_module

@@ -9,13 +9,13 @@ from math import ceil, floor, inf, sqrt
 from typing import NamedTuple
 
 import numpy as np
-import scipy
 from numba import njit
 
 from shared.types import Bools, Float64s, Int16s, Int32s
 
 SOLID = -1  # Cells.skip: the whole cell is solid
 MAX_CELLS = 16_000_000  # 80 MB of index; larger worlds get larger cells
+MAX_SKIP = 32_000  # cells
 EPSILON = 1e-9  # m: closes the gap between segments that meet in a corner
 
 
@@ -57,10 +57,7 @@ def index_grid(segments: Float64s, circles: Float64s, solid: Bools, x0: float, y
     first, items = shapes_by_cell(segments, circles, x0, y0, size, h, w, 1e-6 * size)
     has_shapes = (np.diff(first) > 0).reshape(h, w)
     content = solid | has_shapes
-    if content.any():
-        skip = np.minimum(scipy.ndimage.distance_transform_cdt(~content, metric="chessboard"), 32000).astype(np.int16)
-    else:
-        skip = np.full((h, w), min(max(h, w), 32000), np.int16)
+    skip = _steps_to(content, min(max(h, w), MAX_SKIP))
     skip[solid] = SOLID
     return Cells(
         skip=skip,
@@ -72,6 +69,36 @@ def index_grid(segments: Float64s, circles: Float64s, solid: Bools, x0: float, y
         y0=float(y0),
         size=float(size),
     )
+
+
+@njit(cache=True, nogil=True)
+def _steps_to(content: Bools, farthest: int) -> Int16s:
+    """(h, w) int16: cells to the nearest one with content, in the Chebyshev metric; `farthest` where none is nearer.
+
+    Two passes over the eight neighbours: Rosenfeld and Pfaltz 1968, "Distance functions on digital pictures".
+    scipy.ndimage has the same, and its import costs a simulator's start 0.1 s and 10 MB.
+    """
+    h, w = content.shape
+    out = np.empty((h, w), np.int16)
+    for row in range(h):
+        for column in range(w):
+            nearest = 0 if content[row, column] else farthest
+            if row > 0:
+                for near in range(max(column - 1, 0), min(column + 2, w)):
+                    nearest = min(nearest, out[row - 1, near] + 1)
+            if column > 0:
+                nearest = min(nearest, out[row, column - 1] + 1)
+            out[row, column] = nearest
+    for row in range(h - 1, -1, -1):
+        for column in range(w - 1, -1, -1):
+            nearest = out[row, column]
+            if row < h - 1:
+                for near in range(max(column - 1, 0), min(column + 2, w)):
+                    nearest = min(nearest, out[row + 1, near] + 1)
+            if column < w - 1:
+                nearest = min(nearest, out[row, column + 1] + 1)
+            out[row, column] = nearest
+    return out
 
 
 def extent(segments: Float64s, circles: Float64s) -> tuple[float, float, float, float]:

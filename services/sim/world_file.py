@@ -15,6 +15,7 @@ from shared.types import Float64s
 
 Point = tuple[float, float]
 
+MAX_SIDE_M = 5_000.0  # of a world's bounds
 TURN_JITTER = 2.0  # rad a metre of jitter: 0.1 m also turns a chair by up to 0.2 rad
 
 
@@ -147,6 +148,10 @@ def build_world(name: str, file: RobotFile, raster: Raster | None, seed: int, ji
         cliffs=tuple(np.array(c.points, float) for c in world.cliffs),
         goals=goals,
     )
+    low_x, low_y, high_x, high_y = whole.bounds
+    if not max(high_x - low_x, high_y - low_y) <= MAX_SIDE_M:
+        size = f"{high_x - low_x:.0f} x {high_y - low_y:.0f} m"
+        raise UserError(f"{file.path}: the world has {size}, the limit is {MAX_SIDE_M:.0f} m", "coordinates are in m")
     _check_routes(whole, world, file)
     return whole
 

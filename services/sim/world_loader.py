@@ -23,9 +23,11 @@ from shared.geometry import Pose2
 from shared.grid import FREE_UP_TO
 from shared.ros_map import read_ros_map
 
+GENERATED = "barn:", "building:", "crowd:"  # how the names of worlds without a file begin, but for the warehouse
 WORLDS_DIR = Path(__file__).resolve().parent / "worlds"  # data of this package
 WAREHOUSE = "warehouse"
 START_CLEARANCE_M = 1.0  # m of free space around a start that no file gives
+MAX_SEARCHED_CELLS = 100_000_000  # of a world without a start
 MIN_PASSAGE_M = 0.35  # m: floors connected by less count as two
 
 
@@ -70,7 +72,7 @@ def load_world(
     elif world.startswith("crowd:"):
         loaded, has_start = crowd_world(_number(world)), True
     else:
-        path = _path(world)
+        path = world_path(world)
         tree = load_yaml(path)
         if "image" in tree:
             raster = _raster(path)
@@ -84,7 +86,8 @@ def load_world(
     return loaded if start is None else replace(loaded, start=start)
 
 
-def _path(world: str) -> Path:
+def world_path(world: str) -> Path:
+    """The file of a world that is not generated. Raises UserError where there is none."""
     path = Path(world) if world.endswith((".yaml", ".yml")) else WORLDS_DIR / f"{world}.yaml"
     if not path.is_file():
         names = (*(p.stem for p in sorted(WORLDS_DIR.glob("*.yaml"))), "barn:N", "building:N", "crowd:N", WAREHOUSE)
@@ -146,8 +149,14 @@ def read_cylinder_file(path: Path, model: type[F]) -> F:
 
 
 def _most_open_pose(world: World) -> Pose2:
-    """A pose on the largest floor with START_CLEARANCE_M, or with the largest clearance that exists."""
+    """A pose on the largest floor with START_CLEARANCE_M, or with the largest clearance that exists.
+
+    Raises UserError where the world is too large to look for it.
+    """
     resolution = world.raster.resolution if world.raster else 0.1
+    low_x, low_y, high_x, high_y = world.bounds
+    if (high_x - low_x) * (high_y - low_y) / resolution**2 > MAX_SEARCHED_CELLS:
+        raise UserError(f"world {world.name}: too large to look for a start", "give `start:` with x, y and yaw_deg")
     occupied, x0, y0 = world.occupied(resolution)
     room = np.minimum(
         scipy.ndimage.distance_transform_edt(np.pad(~occupied, 1))[1:-1, 1:-1] * resolution, START_CLEARANCE_M

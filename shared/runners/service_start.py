@@ -3,6 +3,7 @@
 
 import argparse
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from shared.config import Robot, RobotFile, configured, robot_source
 from shared.section import Section
@@ -49,12 +50,33 @@ def parser_of(name: str) -> argparse.ArgumentParser:
     return parser
 
 
-def service_start(
-    name: str, service_class: type[Service], arguments: list[str], options: argparse.Namespace
-) -> ServiceStart:
-    """Reads the inputs of a service. options: the arguments, parsed. Raises UserError."""
+class RobotSource(NamedTuple):
+    """A robot's file as a service starts from it: see `ServiceStart`."""
+
+    source: str
+    file: RobotFile
+    text: str
+
+
+def read_robot(options: argparse.Namespace) -> RobotSource:
+    """Reads the robot's file that a service's options name. Raises UserError."""
     source = robot_source(options.robot)  # first: where the file changes meanwhile, it is read again
     file = configured(options.robot, options.set)
+    return RobotSource(source, file, file.text)
+
+
+def service_start(
+    name: str,
+    service_class: type[Service],
+    arguments: list[str],
+    options: argparse.Namespace,
+    robot: RobotSource | None = None,
+) -> ServiceStart:
+    """The inputs of a service. options: the arguments, parsed.  robot: as read for the same options before.
+
+    Raises UserError.
+    """
+    source, file, text = robot or read_robot(options)
     return ServiceStart(
         arguments=tuple(arguments),
         options=options,
@@ -62,5 +84,5 @@ def service_start(
         config=file.section(name, service_class.config_type),
         robot=file.robot,
         source=source,
-        robot_file=file.text,
+        robot_file=text,
     )

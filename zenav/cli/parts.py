@@ -13,6 +13,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 NEGATIVE = re.compile(r"-\.?\d")
+MAX_SHORT_HELP = 120  # characters of a command's line in the list
 
 MAIN, DRIVE, LOOK, FILES = "Start", "Drive", "Look", "Logs, recordings, measurements"
 
@@ -26,6 +27,7 @@ class Command(TyperCommand):
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
+        self.help = _with_whole_examples(self.help)
         given = {option: i for i, param in enumerate(self.params) for option in param.opts}
         if "--robot" in given and "--name" not in given and self.params[given["--robot"]].default:
             after = 1 + given["--robot"]
@@ -74,7 +76,26 @@ def _own_name() -> Any:
 
 
 class Group(TyperGroup):
-    """Commands that take negative numbers, and a hint for a mistyped one."""
+    """Commands that take negative numbers, and a hint for a mistyped one.
+
+    The help is click's: typer's own imports rich, which takes longer than all else.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self.help = _with_whole_examples(self.help)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Lists the commands by their panels, in the order in which these were first named."""
+        panels: dict[str, list[tuple[str, str]]] = {}
+        for name, command in self.commands.items():
+            if not command.hidden:
+                panel = getattr(command, "rich_help_panel", None)
+                rows = panels.setdefault(panel if isinstance(panel, str) else "Commands", [])
+                rows.append((name, command.get_short_help_str(MAX_SHORT_HELP)))
+        for panel, rows in panels.items():
+            with formatter.section(panel):
+                formatter.write_dl(rows)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         if args and self.get_command(ctx, args[0]) is None and not args[0].startswith("-"):
@@ -85,8 +106,13 @@ class Group(TyperGroup):
         return super().resolve_command(ctx, args)
 
 
+def _with_whole_examples(text: str | None) -> str | None:
+    """Marks paragraphs with an example, so that click breaks no line of them: they are to be copied."""
+    return text and re.sub(r"\n\n(?=Examples?: )", "\n\n\b\n", text)
+
+
 def group(text: str) -> typer.Typer:
-    return typer.Typer(cls=Group, help=text, no_args_is_help=True, rich_markup_mode="rich")
+    return typer.Typer(cls=Group, help=text, no_args_is_help=True, rich_markup_mode=None)
 
 
 app = group(

@@ -37,8 +37,8 @@ READY = b"ready"
 MAX_REQUEST = 2**17  # bytes: a command line; within the default size of a socket's buffer
 PR_SET_NAME = 15
 MADV_DONTNEED = 4
-NOT_PRELOADED = ("sim",)
-"""It is no part of a robot, its imports are its own, and its world costs more than the kernels that it would load."""
+FOR_PRELOADING = {"sim": ["sim.world=empty"]}
+"""Settings by service, with which its kernels are loaded: its own process builds the simulator's world."""
 MAX_NAME_BYTES = 15  # of a process
 
 
@@ -68,27 +68,32 @@ def preload(commands: dict[str, list[str]]) -> bool:
 
     commands: arguments by module, like `services.guard`. Returns whether this process may fork.
     """
-    from shared.kernel_cache import release_intermediate_code, warm_up
+    from shared.config import configured
+    from shared.kernel_cache import warm_up
     from shared.runners import live  # noqa: F401  # Zenoh's library, without a session
-    from shared.runners.service_start import PRELOADED, parser_of, service_start
+    from shared.runners.service_start import PRELOADED, RobotSource, parser_of, read_robot, service_start
     from zenav.stack.service_loader import build_service, service_class
 
+    robots: dict[tuple[str, ...], RobotSource] = {}  # by name and settings: the same for all services of a stack
     logging.disable(logging.CRITICAL)
     for module, arguments in commands.items():
         package, _, name = module.partition(".")
-        if package != "services" or name in NOT_PRELOADED:
+        if package != "services":
             continue
         try:
             options, unknown = parser_of(name).parse_known_args(arguments)
             if unknown:
                 continue
-            start = service_start(name, service_class(name), arguments, options)
-            warm_up(build_service(name, start.file, start.robot))
+            key = options.robot, *options.set
+            robots[key] = robots.get(key) or read_robot(options)
+            start = service_start(name, service_class(name), arguments, options, robots[key])
+            settings = FOR_PRELOADING.get(name, [])
+            file = configured(options.robot, [*options.set, *settings]) if settings else start.file
+            warm_up(build_service(name, file, start.robot))
             PRELOADED[name] = start
         except (Exception, SystemExit):  # it ends the same way in its own process, with its words
             continue
     logging.disable(logging.NOTSET)
-    release_intermediate_code()
     share_pages()
     return is_single_threaded()
 

@@ -10,7 +10,7 @@ from services.imu_driver.service import ImuDriverConfig
 from services.lidar_driver.service import LidarDriverConfig
 from services.sim.config import SimConfig
 from services.sim.world import World
-from services.sim.world_loader import load_world
+from services.sim.world_loader import GENERATED, WAREHOUSE, load_world, world_path
 from shared.config import RobotFile
 from shared.geometry import Pose2
 from shared.runners.lockstep import Port
@@ -104,6 +104,13 @@ def wires(hardware: Hardware, file: RobotFile) -> tuple[tuple[Port, Port], ...]:
     if hardware is not Hardware.EMULATED:
         return ()
     return tuple(((DRIVERS[port], port), ("sim", port)) for port in emulated_ports(file))
+
+
+def require_world(file: RobotFile) -> None:
+    """Raises UserError where there is no file of the world that a robot's file names. The file is not read."""
+    world = file.section("sim", SimConfig).world
+    if world != WAREHOUSE and not world.startswith(GENERATED):
+        world_path(world)
 
 
 def simulated_world(file: RobotFile) -> World:

@@ -17,22 +17,29 @@ from shared.messages import Health
 from shared.runners.clock import clock_from
 from shared.runners.presence import announce
 from shared.runners.transport import StackAddress, stack_address
-from shared.topics import SERVICES
+from shared.topics import OWN_SERVICES, SERVICES
 from zenav.client import Client
 from zenav.client.map_modes import OnMap
 from zenav.console.run_folder import new_run_folder
 from zenav.console.shutdown import StopFlag, stop_on_signal
 from zenav.stack.config_report import read_sections
 from zenav.stack.external import ExternalWatch, expected_topics
-from zenav.stack.forked_check import check_apart
+from zenav.stack.forked_check import begin_check, check_apart
 from zenav.stack.gateway import GATEWAY, gateway_address, prepare_gateway, prepare_page, with_gateway
-from zenav.stack.hardware import Hardware, emulated_ports, services_for, settings_for, simulated_world
+from zenav.stack.hardware import (
+    Hardware,
+    emulated_ports,
+    require_world,
+    services_for,
+    settings_for,
+    simulated_world,
+)
 from zenav.stack.heap import limit_heap, release_free_memory
 from zenav.stack.launch import START_LIMIT, Launcher, claim_stack, service_command
 from zenav.stack.page import SERVICE, PageOpener, page_url, with_page
 from zenav.stack.ros2 import ROS2, check_router, ros2_settings
 from zenav.stack.sd_notify import Notifier
-from zenav.stack.service_loader import existing_services
+from zenav.stack.service_loader import existing_services, service_class
 from zenav.stack.uplink import UPLINK, check_uplink, uplink_settings
 from zenav.stack.warm import warm_first
 
@@ -110,7 +117,10 @@ class _StackPlan:
 
 
 def up(options: UpOptions) -> None:
-    """Runs the services until Ctrl-C. Raises UserError where the options are wrong, before any process starts."""
+    """Runs the services until Ctrl-C. Raises UserError where the options are wrong, before any service starts.
+
+    The world is read after the services are loaded, with which it has its kernels' library in common.
+    """
     limit_heap()  # before the first thread
     plan = _planned(options)
     clock = "" if options.speed == 1.0 else f"{time.time_ns()}:{options.speed:g}"
@@ -124,14 +134,18 @@ def up(options: UpOptions) -> None:
             name: service_command(name, options.robot, options.stack, settings, clock, folder / "memory")
             for name in plan.names
         }
-        _print_start(plan, folder)
+        open_things.callback(_remove_if_empty, folder)
         launcher = open_things.enter_context(Launcher(commands, folder, _print_line, 1 / options.speed))
+        is_simulated = "sim" in plan.names
+        check_world = begin_check(lambda: simulated_world(plan.file)) if is_simulated else lambda: None
         client = open_things.enter_context(Client(plan.file.robot.name, plan.where))
         token = announce(client.session, plan.file.robot.name, is_shared=bool(plan.where.router))
         open_things.callback(token.undeclare)
         watch = _external_watch(plan, client)
         running = _RunningStack(launcher, watch, PageOpener(plan.url, options.browser), folder)
         client.listen(topics.HEALTH, lambda health, _: running.hear(health))
+        check_world()
+        _print_start(plan, folder)
         launcher.start_all(lambda name: name in running.ready, stop.is_set)
         if not stop.is_set():
             _give_map(plan, client, launcher, stop)
@@ -147,14 +161,17 @@ def _planned(options: UpOptions) -> _StackPlan:
     settings = [*ros2_settings(options.ros2), *settings] if options.ros2 else settings
     settings = [*uplink_settings(options.site), *settings] if options.site else settings
     file = configured(options.robot, settings)
-    check_apart(lambda: read_sections(file))
     whole = services_for(hardware, file, meets_robots=bool(where.router or options.site))
     names = selected_services(options.only, with_page(whole, options.page), options.external)
+    for name in names:
+        if name in OWN_SERVICES:  # they are preloaded later: now, so that the check's copy has them too
+            service_class(name)
+    check_apart(lambda: read_sections(file))
     if options.on_map is not None and "mapper" not in (*names, *options.external):
         raise UserError("a map is for the mapper, which does not start", "add mapper to --only, or leave out --map")
     names += _checked_links(options, file)
     if "sim" in names:
-        check_apart(lambda: simulated_world(file))
+        require_world(file)
     saved = None if options.on_map is None else options.on_map.read(file)
     if options.on_map is not None and not any(setting.startswith("recorder.attach=") for setting in settings):
         settings = [*settings, f"recorder.attach={json.dumps(options.on_map.files())}"]
@@ -252,6 +269,12 @@ def _give_map(plan: _StackPlan, client: Client, launcher: Launcher, stop: StopFl
         plan.saved = None
         release_free_memory()
         _print_zenav(f"the mapper has the map of {on_map.folder}: {on_map.mode}")
+
+
+def _remove_if_empty(folder: Path) -> None:
+    """Removes the folder of a run that ended before a service started."""
+    with suppress(OSError):
+        folder.rmdir()
 
 
 def _print_start(plan: _StackPlan, folder: Path) -> None:

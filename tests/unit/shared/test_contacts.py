@@ -25,8 +25,8 @@ ROBOT = X80SV.model_copy(update={"bumpers": BUMPERS, "cliffs": CLIFFS})
 S = 1_000_000_000
 
 
-def touching(*bumpers, cliffs=()):
-    return Contacts(0, bumpers, cliffs, False)
+def touching(*bumpers, cliffs=(), at=0):
+    return Contacts(at, bumpers, cliffs, False)
 
 
 @pytest.mark.parametrize("width", [0.3, pi, 2 * pi])
@@ -79,12 +79,13 @@ def test_what_leads_away_does_not_press_an_obstacle_of_the_sector(bumper, v, w, 
 def test_the_place_of_a_contact_lies_before_the_bumper_and_lasts_a_minute():
     places, pose = ContactPlaces(ROBOT), Pose2(1.0, 2.0, pi / 2)
     assert places.add(touching("front"), pose, 0)
-    assert not places.add(touching("front"), pose, S)
+    assert not places.add(touching("front", at=S), pose, S)
     (polygon,) = places.polygons
     before = pose @ np.array([[0.2 + DEPTH_M / 2, 0.0], [0.1, 0.0], [0.0, 0.3]])
     assert contains(polygon, before).tolist() == [True, False, False]
-    assert not places.add(touching(), pose, round(MEMORY_S) * S)
-    assert places.add(touching(), pose, round(MEMORY_S + 2) * S)
+    late, later = round(MEMORY_S) * S, round(MEMORY_S + 2) * S
+    assert not places.add(touching(at=late), pose, late)
+    assert places.add(touching(at=later), pose, later)
     assert places.polygons == ()
 
 
@@ -92,8 +93,25 @@ def test_a_bumper_that_stays_pressed_while_the_robot_leaves_is_one_place():
     places = ContactPlaces(ROBOT)
     places.add(touching("front"), Pose2(), 0)
     before = places.polygons
-    assert not places.add(touching("front"), Pose2(-0.3, 0.0, 0.0), S)
+    assert not places.add(touching("front", at=S), Pose2(-0.3, 0.0, 0.0), S)
     assert places.polygons == before
+
+
+@pytest.mark.parametrize(
+    ("at", "counts"), [(0, True), (-200, True), (-300, False), (-61_000, False), (3_600_000, False)]
+)
+def test_a_contact_of_another_moment_is_no_place_where_the_robot_is_now(at, counts):
+    """at: ms after now."""
+    places, now = ContactPlaces(ROBOT), 100 * S
+    assert places.add(touching("front", at=now + at * S // 1000), Pose2(), now) == counts
+    assert len(places.polygons) == counts
+
+
+def test_a_contact_that_comes_after_a_newer_message_is_no_place():
+    places = ContactPlaces(ROBOT)
+    places.add(touching(at=S), Pose2(), S)
+    assert not places.add(touching("front", at=S - 1), Pose2(), S)
+    assert places.polygons == ()
 
 
 def test_a_cliff_is_a_square_before_its_sensor():

@@ -88,21 +88,21 @@ COMPILE_CALLER = """
 import json, sys
 import numpy as np
 import kernels
-from shared.kernel_cache import release_intermediate_code
+from shared.kernel_cache import load_without_compiler
 
-kernels.halved(1.0)
-if "release" in sys.argv:
-    release_intermediate_code()
-    release_intermediate_code()
-    assert kernels.halved(8.0) == 5.0
+if "alone" in sys.argv:
+    load_without_compiler()
+    load_without_compiler()
+assert kernels.halved(8.0) == 5.0
+assert sum(kernels.halved.stats.cache_hits.values()) == ("cached" in sys.argv)
 (compiled,) = kernels.halved.overloads.values()
-freed = compiled.library._shared_module is None
+has_module = compiled.library._shared_module is not None
 value = kernels.summed(np.linspace(0, 7, 99))
-print(json.dumps([freed, value, kernels.summed.inspect_llvm(kernels.summed.signatures[0])]))
+print(json.dumps([has_module, value, kernels.summed.inspect_llvm(kernels.summed.signatures[0])]))
 """
 
 
-def test_a_kernel_compiles_to_the_same_code_when_its_callee_was_released(tmp_path):
+def test_a_kernel_compiles_to_the_same_code_when_its_callee_was_loaded_without_its_module(tmp_path):
     (tmp_path / "kernels.py").write_text(KERNELS)
 
     def compiled(*words):
@@ -112,10 +112,34 @@ def test_a_kernel_compiles_to_the_same_code_when_its_callee_was_released(tmp_pat
         return json.loads(done.stdout)
 
     compiled()  # fills the cache
-    kept, released = compiled(), compiled("release")
-    assert kept[0] is False
-    assert released[0] is True
-    assert kept[1:] == released[1:]
+    whole, alone = compiled("cached"), compiled("cached", "alone")
+    assert whole[0] is True
+    assert alone[0] is False
+    assert whole[1:] == alone[1:]
+
+
+COMPILE_LATE = """
+import shutil
+from pathlib import Path
+import numpy as np
+import kernels
+from shared.kernel_cache import load_without_compiler
+
+load_without_compiler()
+assert kernels.halved(8.0) == 5.0
+shutil.rmtree(Path(kernels.__file__).parent / "__pycache__")
+assert kernels.halved(1.0) == 0.3
+kernels.summed(np.linspace(0, 7, 99))
+"""
+
+
+def test_a_callee_that_is_no_more_in_the_cache_is_named_with_the_command_that_compiles_it(tmp_path):
+    (tmp_path / "kernels.py").write_text(KERNELS)
+    environment = dict(os.environ, PYTHONPATH=f"{tmp_path}:{ROOT}")  # noqa: TID251  # a child
+    command = [sys.executable, "-P", "-c"]
+    subprocess.run([*command, COMPILE_CALLER], check=True, capture_output=True, env=environment)
+    done = subprocess.run([*command, COMPILE_LATE], capture_output=True, text=True, env=environment, check=False)
+    assert done.stderr.splitlines()[-1].endswith("halved is no more in the cache: run zenav warm")
 
 
 LOAD_ALONE = """

@@ -122,6 +122,19 @@ def test_a_map_and_shapes_are_one_world_also_where_shapes_stand_outside_the_map(
     assert (world.cells.skip == SOLID).sum() == raster.solid.sum()
 
 
+@settings(max_examples=100)
+@given(seed=st.integers(0, 2**32 - 1), h=st.integers(1, 25), w=st.integers(1, 25), share=st.sampled_from([0.01, 0.2]))
+def test_a_cell_knows_how_many_cells_around_it_are_free(seed, h, w, share):
+    solid = np.random.default_rng(seed).random((h, w)) < share
+    skip = index_grid(np.zeros((0, 4)), np.zeros((0, 3)), solid, 0.0, 0.0, 0.05).skip
+    rows, columns = np.nonzero(solid)
+    for row in range(h):
+        for column in range(w):
+            steps = np.maximum(abs(rows - row), abs(columns - column))
+            expected = SOLID if solid[row, column] else min(steps, default=max(h, w))
+            assert skip[row, column] == expected
+
+
 @pytest.mark.parametrize("shape", [(3, 3), (1, 50)])
 def test_a_world_of_nothing_has_no_echo(shape):
     cells = index_grid(np.zeros((0, 4)), np.zeros((0, 3)), np.zeros(shape, bool), 0.0, 0.0, 0.1)

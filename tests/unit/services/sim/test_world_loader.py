@@ -103,6 +103,19 @@ def test_what_is_missing_or_broken_is_told_with_its_hint(tmp_path):
         assert error.value.hint
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("bounds: [0, 0, 1.0e6, 1.0e6]", "limit is 5000 m"),
+        ("boxes: [{x: 0, y: 0, size: [1, 1]}, {x: 1.0e9, y: 0, size: [1, 1]}]", "limit is 5000 m"),
+        ("bounds: [0, 0, 4000, 4000]", "too large to look for a start"),
+    ],
+)
+def test_a_world_that_no_memory_holds_is_refused(tmp_path, text, words):
+    with pytest.raises(UserError, match=words):
+        load_world(str(written(tmp_path, text)))
+
+
 @needs_data
 def test_the_barn_worlds_hold_the_jackal_at_their_start_and_goal():
     file = Path(os.environ["ZENAV_DATA"]) / "barn" / "barn_worlds.json.gz"  # noqa: TID251

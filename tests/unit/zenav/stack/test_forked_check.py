@@ -36,6 +36,27 @@ def test_a_failed_check_raises_its_error_here(monkeypatch, is_alone):
         check_apart(check)
 
 
+BESIDE = """
+import os
+from zenav.stack.forked_check import begin_check
+
+there, here = os.pipe(), os.pipe()
+
+def check():
+    os.write(there[1], b"1")
+    assert os.read(here[0], 1) == b"2"
+
+end = begin_check(check)
+assert os.read(there[0], 1) == b"1"
+os.write(here[1], b"2")
+end()
+"""
+
+
+def test_this_process_goes_on_while_a_check_runs():
+    subprocess.run([sys.executable, "-c", BESIDE], check=True, timeout=60)
+
+
 def test_with_other_threads_a_check_runs_in_this_process(monkeypatch):
     monkeypatch.setattr(forked_check, "is_single_threaded", lambda: False)
     pids = []

@@ -109,6 +109,22 @@ def test_what_was_preloaded_holds_for_the_same_arguments_and_the_same_file_alone
     assert start.is_of(tuple(asked))
 
 
+PRELOAD_A_SIMULATOR = """
+import sys
+from shared.runners.service_start import PRELOADED
+from zenav.stack.fork_server import preload
+
+preload({"services.sim": ["--robot", "x80sv", "--set", "sim.world=office"]})
+assert PRELOADED["sim"].config.world == "office"
+assert "scipy.ndimage" not in sys.modules
+"""
+
+
+def test_the_simulator_is_preloaded_for_its_world_and_without_what_other_worlds_need():
+    command = [sys.executable, "-P", "-c", PRELOAD_A_SIMULATOR]
+    subprocess.run(command, check=True, env=dict(os.environ, PYTHONPATH=str(ROOT)))  # noqa: TID251  # a child
+
+
 def test_a_file_that_is_warned_of_is_read_at_each_start(tmp_path):
     robot = tmp_path / "bot.yaml"
     robot.write_text((ROBOTS_DIR / "x80sv.yaml").read_text() + "\nplanner: {upkeep: {}}\n")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `zenav up` does while it waits for the mapper, and when its terminal is gone."""
+"""What `zenav up` does with a wrong world, while it waits for the mapper, and when its terminal is gone."""
 
 import sys
 from pathlib import Path
@@ -12,6 +12,7 @@ from shared.messages import MapMode
 from zenav.client.map_modes import OnMap
 from zenav.console.shutdown import StopFlag
 from zenav.stack import up as command
+from zenav.stack.launch import free_stack
 from zenav.stack.up import UpOptions
 
 
@@ -53,6 +54,26 @@ def test_a_map_without_a_mapper_is_refused_before_anything_starts(monkeypatch):
     on_map = OnMap(Path("office"), MapMode.LOCALISE, None)
     with pytest.raises(UserError, match="a map is for the mapper"):
         command._planned(UpOptions(world="room", only=["sim", "base_driver"], on_map=on_map, page=False))
+
+
+WRONG_WORLD = """
+walls:
+  - points: [[0, 0], [5, 0]]
+people:
+  - {route: [[-1, 0], [6, 0]], speed: 1.0}
+"""
+
+
+def test_a_wrong_world_is_named_before_a_service_starts_and_leaves_nothing(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(command, "warm_first", lambda *_: None)  # its kernels are compiled: the world was right before
+    Path("wrong.yaml").write_text(WRONG_WORLD)
+    with free_stack() as claim:
+        number = str(claim.where.domain)
+    with pytest.raises(UserError, match=r"wrong.yaml:5.*runs into something"):
+        command.up(UpOptions(world="wrong.yaml", stack=number))
+    assert list(Path("out").iterdir()) == []
+    assert capsys.readouterr().err == ""
 
 
 def test_a_terminal_that_was_closed_does_not_end_the_end(monkeypatch):
