@@ -12,6 +12,7 @@ import numpy as np
 from shared.geometry import Pose2
 from shared.messages import Contacts
 from shared.robot import Bumper, Robot
+from shared.stamps import fresh, precedes
 from shared.types import NS_PER_S, Float64s
 
 MEMORY_S = 60.0
@@ -22,6 +23,7 @@ MAX_APPROACH_MPS = 0.01
 """Of a point of the outline, outward, by which a motion still leads away from a contact there."""
 STEP_RAD = pi / 36
 MAX_PLACES = 16
+MAX_AGE_S = 0.25  # of a message whose contacts are where the robot is now
 MIN_ADVANCE_M = 0.01
 
 
@@ -105,9 +107,13 @@ class ContactPlaces:
     def add(self, contacts: Contacts, map_from_base: Pose2, now: int) -> bool:
         """Takes contacts at a pose, and forgets the oldest at `now` (ns). Returns whether the polygons changed.
 
-        The place of a pressed bumper moves on while the robot rolls on. When the robot leaves, it stays.
+        The place of a pressed bumper moves on while the robot rolls on. When the robot leaves, it stays. A message of
+        another moment, as in a burst after a broken link, changes nothing.
         """
-        last, self._last = self._last, contacts
+        last = self._last
+        if not fresh(contacts.stamp, now, MAX_AGE_S) or (last and precedes(contacts.stamp, last.stamp, now)):
+            return False
+        self._last = contacts
         kept = [place for place in self._places if 0 <= now - place[0] < MEMORY_S * NS_PER_S]
         changed = len(kept) < len(self._places)
         begun, here = new_contacts(contacts, last), np.array((map_from_base.x, map_from_base.y))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings of the base driver."""
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from services.base_driver.battery import BatteryConfig
 from services.base_driver.boards.board_config import SerialBoardConfig
@@ -11,6 +11,8 @@ from services.base_driver.watchdog import WatchdogConfig
 from services.base_driver.wheel_tracking import WheelTrackingConfig
 from shared.config import Section
 from shared.ports import PortConfig
+
+BUSY_S = 0.05  # for which a busy machine may let a report wait
 
 
 class BaseDriverConfig(Section):
@@ -32,3 +34,14 @@ class BaseDriverConfig(Section):
     encoders: EncoderConfig = EncoderConfig()
     stuck: StuckConfig = StuckConfig()
     following: WheelTrackingConfig = WheelTrackingConfig()
+
+    @model_validator(mode="after")
+    def _reports_are_young(self) -> "BaseDriverConfig":
+        """A report is older than `latency` when it is read."""
+        latency = self.board.latency
+        if latency > 0 and latency + BUSY_S > self.board_age:
+            raise ValueError(
+                f"board.latency: {latency} s is too near to board_age, {self.board_age} s, which must be larger by "
+                f"{BUSY_S} s at least"
+            )
+        return self

@@ -98,9 +98,13 @@ class WheelFaults:
                 lagging.append(f"the {name} wheel turns at {rim_speed:.2f} m/s where {abs(speed) * radius:.2f} is told")
         if self.code or not (stuck or lagging):
             return
-        if not any_stuck and all(monitor.was_behind for monitor in self._tracking) and self._may_retry(now):
+        both_lag = not any_stuck and all(monitor.was_behind for monitor in self._tracking)
+        if both_lag and self._may_retry(now):
             return
-        if stuck:
-            self.latch(reasons.WHEEL_STUCK.code, f"the {' and '.join(stuck)} wheel is commanded but does not turn", now)
+        code = reasons.WHEEL_STUCK.code if stuck else reasons.WHEEL_ASTRAY.code
+        if both_lag:  # one of them is over the limit first
+            self.latch(code, f"{BOTH_LAG_DETAIL}, also after {MAX_RETRIES} pauses", now)
+        elif stuck:
+            self.latch(code, f"the {' and '.join(stuck)} wheel is commanded but does not turn", now)
         else:
-            self.latch(reasons.WHEEL_ASTRAY.code, ", ".join(lagging), now)
+            self.latch(code, ", ".join(lagging), now)

@@ -23,7 +23,9 @@ def run_command(*arguments: str) -> CommandResult:
     """Runs `zenav ARGUMENTS` and waits for its end."""
     command = (sys.executable, "-P", "-m", "zenav", *arguments)
     try:
-        done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=LIMIT_S)
+        done = subprocess.run(
+            command, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace", timeout=LIMIT_S
+        )
     except (OSError, subprocess.TimeoutExpired) as failed:
         return CommandResult("", str(failed)[-MAX_TEXT:])
     error = "" if done.returncode == 0 else " ".join(done.stderr.split()) or f"status {done.returncode}"

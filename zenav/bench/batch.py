@@ -50,14 +50,15 @@ def batch(out: Path | None, recordings: int, scans: int, rounds: int, tiny: int)
         report: dict[str, Any] = {"kept": True}
         if rounds:
             report |= _in_turn(Path(folder), recordings, scans, rounds)
+            show(report)
         if tiny:
             from zenav.bench.batch_kill import killed_run, killed_scheduler
 
-            report["killed"] = killed_run(Path(folder), tiny)
-            report["killed_scheduler"] = killed_scheduler(Path(folder), tiny)
-            for run in ("killed", "killed_scheduler"):
-                report["kept"] &= report[run]["again"] <= report[run]["in_flight"] and report[run]["rows"] == tiny
-    show(report)
+            for name, run in (("killed", killed_run), ("killed_scheduler", killed_scheduler)):
+                killed = report[name] = run(Path(folder), tiny)
+                report["kept"] &= killed["again"] <= killed["in_flight"]
+                report["kept"] &= killed["rows"] == tiny
+                show({name: killed})
     write_report(out, report)
     return 0 if report["kept"] else 1
 
@@ -160,7 +161,7 @@ def figures(runs: dict[str, list[Used]]) -> dict[str, Any]:
 
 
 def show(report: dict[str, Any]) -> None:
-    """Prints the tables."""
+    """Prints the tables of what was measured, which may be a part."""
     if "cpu_s" in report:
         rows = [
             (name, f"{report['wall_s'][name]:.1f}", f"{cpu:.1f}", f"{report['peak_mb'][name]:.0f}")
@@ -178,3 +179,4 @@ def show(report: dict[str, Any]) -> None:
                 f"{name}: {one['rows']} files, killed with {one['done_at_kill']} done; {one['again']} of them computed "
                 f"again; {one['ms_each']:.1f} ms of CPU each; MB at most: {memory}\n"
             )
+    sys.stdout.flush()

@@ -34,8 +34,7 @@ from zenav.secure.authority import Authority, new_authority
 from zenav.secure.members import CHECK_PREFIX as PREFIX
 from zenav.secure.members import today
 
-ROLES = (MemberRole.VIEWER, MemberRole.OPERATOR, MemberRole.ADMIN)
-"""of the members that exist during a check."""
+ROLES = (MemberRole.VIEWER, MemberRole.OPERATOR, MemberRole.ADMIN)  # of the members that exist during a check
 SETTLE_S = 20.0  # at most, until the gateway runs with other members
 ANSWER_S = 1.0
 REFUSED_MS = 1000  # without a connection, it was refused

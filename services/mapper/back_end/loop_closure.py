@@ -84,7 +84,7 @@ class SubmapCache:
     range_max: m, of the laser.
     """
 
-    MAX_BYTES = 46_000_000  # with the graph and its keyframes, so that memory stays as these become more
+    MAX_BYTES = 30_000_000  # with the graph and its keyframes, so that memory stays as these become more
     MIN_BYTES = 8_000_000  # about 8 submaps in a room, 1 in a hall
 
     def __init__(

@@ -12,7 +12,7 @@ from services.base_driver.config import BaseDriverConfig
 from services.base_driver.service import BaseDriverService
 from services.sim.hardware import drrobot as board
 from shared import topics
-from shared.config import load_robot
+from shared.config import UserError, configured, load_robot
 from shared.drrobot import BOARD, Deframer
 from shared.messages import BoardReport, EmergencyStop, PortState, SerialData, Velocity
 from tests.strategies import faults
@@ -134,6 +134,16 @@ def test_the_latency_is_taken_off_the_stamp():
     assert wired.last(topics.REPORT).stamp == T0 - 4 * MS
     wired.says(wired.motors(), stamp=0)
     assert wired.last(topics.REPORT).stamp == 0
+
+
+def test_a_latency_that_leaves_no_report_young_enough_is_refused_with_both_numbers():
+    settings = ["base_driver.board.latency=0.16"]
+    with pytest.raises(UserError, match=r"board\.latency: 0\.16 s is too near to board_age, 0\.2 s"):
+        configured("x80sv", settings).section("base_driver", BaseDriverConfig)
+    config = configured("x80sv", [*settings, "base_driver.board_age=0.3"]).section("base_driver", BaseDriverConfig)
+    assert config.board.latency == 0.16
+    config = configured("x80sv", ["base_driver.board_age=0.04"]).section("base_driver", BaseDriverConfig)
+    assert config.board_age == 0.04, "without a latency any age is a choice"
 
 
 def test_of_several_reports_at_once_the_last_counts():

@@ -67,13 +67,15 @@ def test_both_wheels_that_fall_behind_are_found_where_reports_come_close_togethe
     assert wheels.faults.is_pausing(wheels.now)
 
 
-def test_both_wheels_that_fall_behind_again_and_again_are_a_fault_that_stays():
+@pytest.mark.parametrize("shares", [(0.0, 0.0), (0.0, 0.25), (0.25, 0.0), (0.3, 0.35)])
+def test_both_wheels_that_fall_behind_again_and_again_are_a_fault_of_both_that_stays(shares):
     wheels = FaultyWheels()
     for _ in range(MAX_RETRIES + 1):
         assert wheels.faults.code == ""
         wheels.run(1.5, 1.0, 1.0)
-        wheels.run(0.5, 0.0, 0.0)
-    assert wheels.faults.code == reasons.WHEEL_STUCK.code
+        wheels.run(0.5, *shares)
+    assert wheels.faults.code == (reasons.WHEEL_STUCK if 0.0 in shares else reasons.WHEEL_ASTRAY).code
+    assert wheels.faults.detail == "the left and right wheel do not follow their commands, also after 2 pauses"
     wheels.faults.release()
     assert wheels.run(1.0, 1.0, 1.0) == ""
 
