@@ -16,7 +16,8 @@ from ruamel.yaml.error import YAMLError
 
 from shared.robot import Drive, Laser, Mount, RangeSensor, Robot
 from shared.robot_files import ROBOTS_DIR, manual_page, own_name_and_kind, robot_files
-from shared.section import Section, UserError
+from shared.section import Section
+from shared.user_error import UserError
 
 __all__ = [
     "LASER_KEYS",

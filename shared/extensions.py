@@ -12,9 +12,12 @@ A module of topics imports nothing but shared.messages and shared.topics: the re
 
 import os
 from functools import cache
-from importlib.metadata import EntryPoint, PackageNotFoundError, distribution
+from typing import TYPE_CHECKING
 
-from shared.section import UserError
+from shared.user_error import UserError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 VARIABLE = "ZENAV_WITH"
 SERVICES_GROUP, TOPICS_GROUP = "zenav.services", "zenav.topics"
@@ -64,7 +67,9 @@ def service_name(module: str) -> str:
     return named.get(folder, folder.rpartition(".")[2])
 
 
-def _entry_points(package: str, group: str) -> list[EntryPoint]:
+def _entry_points(package: str, group: str) -> "list[EntryPoint]":
+    from importlib.metadata import PackageNotFoundError, distribution  # 20 ms, which most processes do not need
+
     try:
         found = distribution(package).entry_points
     except (PackageNotFoundError, ValueError):

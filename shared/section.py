@@ -1,17 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The base of every configuration model, and the error that a user can fix."""
+"""The base of every configuration model."""
 
 from typing import Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict, model_validator
-
-
-class UserError(Exception):
-    """Something that the user can fix: shown as one line and a `hint:`, never as a traceback."""
-
-    def __init__(self, what: str, hint: str) -> None:
-        super().__init__(what)
-        self.what, self.hint = what, hint
 
 
 class Section(BaseModel):

@@ -10,7 +10,7 @@ from typing import Generic, Literal, TypeVar
 
 from shared import messages as m
 from shared.extensions import extension_services, packages, topic_modules
-from shared.section import UserError
+from shared.user_error import UserError
 
 M = TypeVar("M", bound=m.Message)
 
