@@ -2,25 +2,28 @@
 """Repeatable arithmetic, before anything imports numpy; repeatable examples, however busy the machine is.
 
 Environment: ZENAV_HYPOTHESIS_SEED=N draws other examples, by this seed; ZENAV_REQUIRE_DATA=1 fails a run whose tests on
-ZENAV_DATA were skipped; ZENAV_HALF_OF_CASES=DAY runs half of the cases of tests with several, by the day's number.
+ZENAV_DATA were skipped; ZENAV_TESTS_UNTIL=T (s since 1970) leaves out some cases of tests with several from then on.
 """
 
 import shared.repeatable  # noqa: F401
 
 # isort: split
 import os
+import time
 from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
 
-from tests.sampling import left_out
-from tests.skips import lacks_data, lines
+from tests.sampling import last_cases
+from tests.skips import NO_TIME, lacks_data, lines
 from tests.workers import Groups
 
 SEED = os.environ.get("ZENAV_HYPOTHESIS_SEED")  # noqa: TID251  # which examples to draw
 REQUIRE_DATA = os.environ.get("ZENAV_REQUIRE_DATA") == "1"  # noqa: TID251  # CI has the data
-HALF_OF_CASES = os.environ.get("ZENAV_HALF_OF_CASES")  # noqa: TID251  # CI on a slow machine
+UNTIL = os.environ.get("ZENAV_TESTS_UNTIL")  # noqa: TID251  # CI on a slow machine
+LAST = pytest.StashKey[set[str]]()
+DAY_S = 86_400
 
 pytest.register_assert_rewrite("tests.stack.processes", "tests.replay.record", "tests.strategies", "tests.toys")
 
@@ -38,11 +41,17 @@ def pytest_configure(config: Any) -> None:
 
 
 def pytest_collection_modifyitems(config: Any, items: list[Any]) -> None:
-    """Leaves out the cases of another day."""
-    if HALF_OF_CASES:
-        others = left_out((item.nodeid for item in items), int(HALF_OF_CASES))
-        config.hook.pytest_deselected(items=[item for item in items if item.nodeid in others])
-        items[:] = [item for item in items if item.nodeid not in others]
+    """Puts the cases last that may be left out."""
+    if UNTIL:
+        config.stash[LAST] = last_cases((item.nodeid for item in items), int(UNTIL) // DAY_S)
+        items.sort(key=lambda item: item.nodeid in config.stash[LAST])
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: Any) -> None:
+    """Leaves out the last cases once time is up."""
+    if UNTIL and item.nodeid in item.config.stash[LAST] and time.time() > int(UNTIL):  # noqa: TID251  # CI's clock
+        pytest.skip(NO_TIME)
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -71,7 +80,5 @@ def pytest_terminal_summary(terminalreporter: Any, config: Any) -> None:
         terminalreporter.write_line(line)
     if REQUIRE_DATA and lacks_data(reasons):
         terminalreporter.write_line("failed: ZENAV_REQUIRE_DATA=1, and tests on data were skipped", red=True)
-    if HALF_OF_CASES:
-        terminalreporter.write_line("of tests with several cases half of them ran: all of them with make test")
     if SEED:
         terminalreporter.write_line(f"hypothesis seed {SEED}: run again with ZENAV_HYPOTHESIS_SEED={SEED}")

@@ -14,6 +14,7 @@ class Need:
     provided_by: str
 
 
+NO_TIME = "time is up"
 DATA = Need(("ZENAV_DATA", "slam_eval.py"), "set ZENAV_DATA to the folder with slam, barn, planning, bags and x80sv")
 NEEDS = (
     DATA,
@@ -32,6 +33,7 @@ NEEDS = (
     Need(("SCHED_RR",), "allow real-time scheduling: ulimit -r, or run them as root"),
     Need(("control group", "needs root and systemd"), "run them as root, on a Linux with control groups and systemd"),
     Need(("history of commits",), "run them in a clone with all commits: git fetch --unshallow"),
+    Need((NO_TIME,), "run make test, which has the time for all cases"),
     Need(("systemd-analyze",), "install systemd, which has systemd-analyze"),
 )
 
