@@ -70,7 +70,7 @@ def _status(arguments: list[str] | None) -> int:
     except (typer.Abort, KeyboardInterrupt):
         return 130
     except Exception as error:
-        from shared.config import UserError
+        from shared.user_error import UserError
 
         if isinstance(error, OSError) and error.errno in DISK_FULL:
             place = f": {error.filename}" if error.filename else ""

@@ -19,6 +19,7 @@ from shared import topics
 from shared.codec import Envelope, encode
 from shared.messages import RobotIntent
 from zenav.console.json_report import check_writable, write_report
+from zenav.console.progress import progress_bar
 from zenav.console.table import show_table
 from zenav.scenario.path_finder import PathFinder
 from zenav.scenario.random_goals import LOOK_S, MOVES_MPS, RandomGoals, RobotRecord, place
@@ -141,7 +142,8 @@ def drive(
     """n robots drive to random goals for so many seconds of virtual time."""
     begun = process_time()
     names = [f"robot_{i + 1}" for i in range(n)]
-    with RobotGroup(robot, world, names, seed, settings) as group:
+    what = f"{n} robots" if n > 1 else "one robot"
+    with RobotGroup(robot, world, names, seed, settings) as group, progress_bar(what) as progress:
         group.hears = lambda speaker, listener: coordinated
         paths = PathFinder(group.world, group.members[0].scenario.file.robot)
         drivers = [
@@ -154,7 +156,9 @@ def drive(
             group.run(LOOK_S)
             for driver in drivers:
                 driver.step()
-            _make_fault(fault, group, drivers, (group.now - begin) / seconds)
+            share = (group.now - begin) / seconds
+            _make_fault(fault, group, drivers, share)
+            progress(share)
         rate = spoken.n_bytes / seconds / n
         records = [driver.record for driver in drivers]
         return FleetRun(records, coordinated, round(rate, 1), round(process_time() - begun, 1))
