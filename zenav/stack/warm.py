@@ -73,10 +73,8 @@ class Times:
 
 def main(arguments: Sequence[str]) -> None:
     """Warms every service, and says how long each took. arguments: an archive for all robots' kernels, or none."""
-    on_hardware = ["base_driver.port.device=/dev/ttyUSB0"]
-    names = [path.stem for path in sorted(ROBOTS_DIR.glob("*.yaml"))] if arguments else []
-    built_in = [(name, settings) for name in names for settings in ([], on_hardware)]
-    tasks = [task for robot, settings in (*ROBOTS, *built_in) for task in tasks_for(robot, settings, SERVICES)]
+    robots = (*ROBOTS, *built_in_robots()) if arguments else ROBOTS
+    tasks = [task for robot, settings in robots for task in tasks_for(robot, settings, SERVICES)]
     times = warm(tasks)
     for name, seconds in times.services.items():
         sys.stdout.write(f"{name:<16}{seconds:6.1f} s\n")
@@ -84,6 +82,23 @@ def main(arguments: Sequence[str]) -> None:
     for archive in arguments:
         n = collect({task.key for task in tasks}, Path(archive))
         sys.stdout.write(f"{n} kernels in {archive}\n" if n else "kernels compiled here serve no other processor\n")
+
+
+def built_in_robots() -> list[tuple[str, list[str]]]:
+    """Name and settings of each robot: as its file says, and with a board on a port where the drive can have one."""
+    from services.base_driver.boards.models import MODELS_WITH_ODOMETRY
+    from services.base_driver.config import BaseDriverConfig
+
+    found: list[tuple[str, list[str]]] = []
+    for name in sorted(path.stem for path in ROBOTS_DIR.glob("*.yaml")):
+        file = configured(name, [])
+        found.append((name, []))
+        if (
+            file.robot.drive.kind != "velocity"
+            or file.section("base_driver", BaseDriverConfig).board.model in MODELS_WITH_ODOMETRY
+        ):
+            found.append((name, ["base_driver.port.device=/dev/ttyUSB0"]))
+    return found
 
 
 def report(robot: str, settings: list[str], every: bool, again: bool, times_too: bool) -> None:

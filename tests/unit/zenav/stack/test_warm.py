@@ -7,10 +7,12 @@ import sys
 
 import pytest
 
-from shared.config import UserError
+from shared.config import UserError, configured
+from shared.robot_files import robot_files
 from zenav.stack import warm as module
 from zenav.stack.kernel_stamp import CodeDigest, cache_lock, clear_stale, code_digest, read_stamp, write_stamp
-from zenav.stack.warm import WITH_KERNELS, Times, n_kernels, tasks_for, warm, warm_first
+from zenav.stack.service_loader import build_service
+from zenav.stack.warm import WITH_KERNELS, Times, built_in_robots, n_kernels, tasks_for, warm, warm_first
 
 
 def keys(robot="x80sv", *settings, services=WITH_KERNELS):
@@ -47,6 +49,15 @@ def test_values_do_not_matter_but_what_they_switch_on_does():
     port = keys("x80sv", "base_driver.port.device=/dev/ttyUSB0")["base_driver"]
     assert port != keys("x80sv", "base_driver.port.device=''")["base_driver"]
     assert port == keys("x80sv", "base_driver.port.device=/dev/ttyUSB1")["base_driver"]
+
+
+def test_what_a_wheel_brings_kernels_for_is_each_built_in_robot_in_forms_that_its_base_driver_takes():
+    robots = built_in_robots()
+    assert {name for name, _ in robots} == set(robot_files())
+    assert any(settings for _, settings in robots), "with a board on a port"
+    for name, settings in robots:
+        file = configured(name, settings)
+        build_service("base_driver", file, file.robot)
 
 
 def test_a_configuration_is_compiled_once(compiled, capsys):
