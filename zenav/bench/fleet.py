@@ -22,7 +22,7 @@ from zenav.console.json_report import check_writable, write_report
 from zenav.console.progress import progress_bar
 from zenav.console.table import show_table
 from zenav.scenario.path_finder import PathFinder
-from zenav.scenario.random_goals import LOOK_S, MOVES_MPS, RandomGoals, RobotRecord, place
+from zenav.scenario.random_goals import HEARD_S, LOOK_S, MOVES_MPS, RandomGoals, RobotRecord, place
 from zenav.scenario.robot_group import GroupMember, RobotGroup
 
 MAX_STANDSTILL_S = 60.0  # s without motion on the way to a goal: a deadlock
@@ -144,12 +144,13 @@ def drive(
     names = [f"robot_{i + 1}" for i in range(n)]
     what = f"{n} robots" if n > 1 else "one robot"
     with RobotGroup(robot, world, names, seed, settings) as group, progress_bar(what) as progress:
-        group.hears = lambda speaker, listener: coordinated
         paths = PathFinder(group.world, group.members[0].scenario.file.robot)
         drivers = [
             FleetDriver(member, paths, np.random.default_rng([seed, i])) for i, member in enumerate(group.members)
         ]
-        place(drivers, paths, group.run)
+        place(drivers, paths, group.run)  # robots side by side find themselves only where they hear each other
+        if not coordinated:
+            _deafen(group)
         begin = group.now
         spoken = _Spoken(group)
         while group.now < begin + seconds:
@@ -162,6 +163,14 @@ def drive(
         rate = spoken.n_bytes / seconds / n
         records = [driver.record for driver in drivers]
         return FleetRun(records, coordinated, round(rate, 1), round(process_time() - begun, 1))
+
+
+def _deafen(group: RobotGroup) -> None:
+    """From now on the robots do not hear each other, and know of no other one."""
+    group.hears = lambda speaker, listener: False
+    for member in group.members:
+        member.restart("traffic")
+    group.run(HEARD_S)
 
 
 def _make_fault(fault: FleetFault, group: RobotGroup, drivers: "list[FleetDriver]", share: float) -> None:

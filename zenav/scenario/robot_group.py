@@ -22,6 +22,7 @@ from zenav.scenario.lockstep_run import lockstep_services
 from zenav.scenario.scenario import Scenario, load_scenario
 from zenav.scenario.shared_world import SharedWorld, start_poses
 from zenav.stack.hardware import simulated_world, wires
+from zenav.stack.service_loader import build_service
 
 STEP_S = 0.02  # s between two looks at each other: a tick of the simulator
 BODY = "sim", "base_driver"  # what goes on when a robot's computer dies: its wheels are stopped by its base
@@ -59,6 +60,11 @@ class GroupMember:
     def ask(self, request: Request[Any, Any], message: Any) -> Any:
         """The reply to a request."""
         return self.lockstep.ask(request, message)
+
+    def restart(self, name: str) -> None:
+        """Ends a service and starts it again, without what it knew."""
+        self.lockstep.kill(name)
+        self.lockstep.start(name, build_service(name, self.scenario.file, self.scenario.file.robot))
 
     def die(self) -> None:
         """All its services end, but for its body."""

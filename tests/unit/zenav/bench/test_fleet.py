@@ -10,7 +10,7 @@ import pytest
 from shared.geometry import Pose2
 from shared.messages import NavState
 from zenav.__main__ import _status
-from zenav.bench.fleet import FleetRun
+from zenav.bench.fleet import FleetRun, drive
 from zenav.scenario.random_goals import LOOK_S, RandomGoals, RobotRecord
 
 
@@ -94,6 +94,12 @@ def test_two_robots_in_a_room_drive(tmp_path, monkeypatch):
     assert [len(run["robots"]) for run in (alone, both)] == [1, 2]
     assert all(robot["distance"] > 0.5 for run in (alone, both) for robot in run["robots"])
     assert 100 < alone["traffic"] < 1000 < both["traffic"], "bytes a second: alone it says only that it is there"
+
+
+def test_robots_that_hide_the_walls_from_each_other_are_found_and_then_drive_without_hearing_another():
+    run = drive("x80sv", "office", 4, 5.0, 0, ["local_ctrl.mppi.rollouts=200"], coordinated=False)
+    assert all(robot.distance > 0.5 for robot in run.robots)
+    assert run.traffic < 1000, "bytes a second: each says only that it is there"
 
 
 def test_more_robots_than_a_room_holds_is_one_line(tmp_path, monkeypatch, capsys):
