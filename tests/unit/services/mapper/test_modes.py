@@ -105,7 +105,7 @@ class Crowded(Lap):
         self.driven.segments = np.concatenate((RING, *boxes))
 
     def hear(self, n):
-        """The robot stands for a sweep. Then the mapper gets the places of n robots."""
+        """Makes one sweep without motion, and gives the mapper the places of n robots."""
         self.driven.step(Pose2())
         x, y = (self.at @ self.places[:n]).T[:, :, None].astype(np.float32)
         radii = np.full(n, np.hypot(self.HALF, self.HALF), np.float32)
