@@ -176,12 +176,12 @@ def test_more_connections_than_the_limit_are_refused(served, monkeypatch):
 
 def test_a_frame_over_the_limit_closes_the_page(served):
     with Browser(served.port) as page, Browser(served.port) as other:
-        page.first("hello")
+        other.until(lambda: other.of("clients") and len(other.of("clients")[-1]["clients"]) == 2)
         page.socket.send(bytes(MAX_FRAME + 1))
         page.until(lambda: page.closed)
         assert page.closed is not None
         assert page.closed[0] == 1009
-        other.until(lambda: len(other.of("clients")) > 1 and len(other.of("clients")[-1]["clients"]) == 1)
+        other.until(lambda: len(other.of("clients")[-1]["clients"]) == 1)
 
 
 def test_more_frames_in_a_second_than_the_limit_close_the_page_with_the_reason(served):
