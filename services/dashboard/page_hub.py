@@ -26,6 +26,7 @@ from shared.runners.stack_listener import Deliver
 from shared.topics import topic_of
 
 SESSION_ENDED = "the login has ended"
+SERVER_ENDED = "the page's server ends"
 LINGER_S = 5.0
 """for which the session stays open after the last page: a reload needs it again."""
 MAX_INCOMING = 4096  # messages that wait for the loop; then the oldest are dropped
@@ -182,7 +183,7 @@ class PageHub:
         if self._watching is not None:
             self._watching.cancel()
         for page in list(self._pages.values()):
-            page.end("the page's server ends")
+            page.end(SERVER_ENDED)
         for task in self._tasks:
             task.cancel()
         if self._closing is not None:

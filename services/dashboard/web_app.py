@@ -17,7 +17,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from services.dashboard.field_checks import FrameError, item_name, recording_name
 from services.dashboard.login_store import LoginStore
 from services.dashboard.page_connection import PageConnection
-from services.dashboard.page_hub import SESSION_ENDED, PageHub
+from services.dashboard.page_hub import SERVER_ENDED, SESSION_ENDED, PageHub
 from services.dashboard.page_hubs import PageHubs
 from services.dashboard.web_guard import USER, Access, App, PageUser, WebGuard
 from services.dashboard.web_login import login_routes
@@ -29,7 +29,9 @@ MAX_FRAMES = 60
 MAX_UPLOAD = 64 * 2**20  # bytes
 UPLOAD_LIMIT_S = 60.0
 TOO_MANY, TOO_SLOW, GOING_AWAY = 1008, 1013, 1001  # RFC 6455, section 7.4
+RESTARTS = 1012  # as uvicorn's own, so a page gets one code, whichever of the two comes first
 NO_SESSION = 4401  # of the range for applications: the page shows its login
+CODES = {SESSION_ENDED: NO_SESSION, SERVER_ENDED: RESTARTS}
 
 
 def web_app(hubs: PageHubs, access: Access, store: LoginStore) -> App:
@@ -146,7 +148,7 @@ async def _receive(websocket: WebSocket, page: PageConnection, hub: PageHub) -> 
 async def _send(websocket: WebSocket, page: PageConnection) -> None:
     try:
         reason = await page.send_all(websocket.send_bytes)
-        code = NO_SESSION if reason == SESSION_ENDED else TOO_MANY if "frame" in reason else GOING_AWAY
+        code = CODES.get(reason, TOO_MANY if "frame" in reason else GOING_AWAY)
     except TimeoutError:
         reason, code = "the page does not read", TOO_SLOW
     except (WebSocketDisconnect, RuntimeError):
