@@ -189,8 +189,9 @@ def opened(where: StackAddress, name: str = "", everything: bool = False) -> zen
         return zenoh.open(config)
     except zenoh.ZError as error:
         if where.router:
-            hint = "is it running, and are you a member? see zenav secure list on the robot"
-            hint = hint if where.router.startswith(TLS) else "is it running? see docker compose ps"
+            hint = "is it running? see docker compose ps, or start it: zenav site up"
+            if where.router.startswith(TLS):
+                hint = "is it running, and are you a member? see zenav secure list on the robot"
             raise UserError(f"no router answers at {where.router}", hint) from error
         hint = f"is another {name} running in domain {where.domain}? find it: ss -tlnp | grep {where.port(name)}"
         raise UserError(f"port {where.port(name)} is taken", hint) from error

@@ -290,7 +290,10 @@ def test_what_was_recorded_while_the_link_was_lost_is_fetched_afterwards(site, r
     recorder = subprocess.Popen([*command, "--set", f"recorder.folder={folder}"], cwd=ROOT)  # the next start
     try:
         until(lambda: len(list(folder.glob("*.mcap"))) == 2, red.lines)
-        out.mkdir()
+        (grows,) = set(folder.glob("*.mcap")) - {file}
+        assert fetch_recording("red", grows.name, out, site.local) == 0
+        assert (out / f"{grows.name}{MARK}").exists()
+        assert not (out / grows.name).exists(), "it is not whole"
         (out / f"{file.name}{MARK}").write_bytes(file.read_bytes()[:70_000])  # of a fetch that was interrupted
         assert fetch_recording("red", file.name, out, site.local) == 0
     finally:

@@ -2,7 +2,8 @@
 """`zenav fleet recordings` and `fetch`: the recordings on a robot, over its link to the site.
 
 A fetch that was interrupted goes on where it ended. What is there already is compared by digests of 1 MiB each, so a
-link carries 32 bytes for what it has carried before. Each part has its SHA-256 too.
+link carries 32 bytes for what it has carried before. Each part has its SHA-256 too. Of a recording that grows comes
+what is there at the begin. A link that is slower than the recorder would never reach its end.
 """
 
 import os
@@ -32,19 +33,27 @@ MARK = ".part"
 def list_robot_recordings(name: str, stack: str) -> int:
     """Shows the recordings on a robot, the newest first."""
     with Client(name, stack_address(stack)) as client:
-        reply = client.ask(requests.LIST_RECORDINGS, ListRecordings(client.now()), ANSWER_S)
-    if not reply.accepted:
-        raise UserError(f"{name}: {reply.reason}: {reply.detail}", "see the log of its uplink")
+        files = _listed(client, name)
     rows = [
         (file, f"{size / 1e6:.1f}", f"{datetime.fromtimestamp(at / 1e9, UTC):%Y-%m-%d %H:%M}", "yes" if is_open else "")
-        for file, size, at, is_open in reply.files
+        for file, size, at, is_open in files
     ]
     show_table(f"recordings on {name}", ("name", "MB", "changed, UTC", "is written"), rows)
     return 0
 
 
+def _listed(client: Client, name: str) -> tuple[tuple[str, int, int, bool], ...]:
+    reply = client.ask(requests.LIST_RECORDINGS, ListRecordings(client.now()), ANSWER_S)
+    if not reply.accepted:
+        raise UserError(f"{name}: {reply.reason}: {reply.detail}", "see the log of its uplink")
+    return reply.files
+
+
 def fetch_recording(name: str, file: str, folder: Path, stack: str) -> int:
-    """Fetches a recording of a robot into a folder; goes on with one that was begun."""
+    """Fetches a recording of a robot into a folder; goes on with one that was begun.
+
+    One that is being written keeps MARK at the end of its name.
+    """
     if "/" in file or file.startswith("."):
         raise UserError(f"{file!r} is no name of a recording", f"list them: zenav fleet recordings {name}")
     target = folder / file
@@ -59,17 +68,27 @@ def fetch_recording(name: str, file: str, folder: Path, stack: str) -> int:
                 request = FetchRecording(client.now(), file, offset, length, digest)  # dated now: an old one is refused
                 return client.ask(requests.FETCH_RECORDING, request, ANSWER_S)
 
+            growing = {other: size for other, size, _, grows in _listed(client, name) if grows}
             try:
-                n = fetch_into(partial, patient_ask(ask, name), lambda done, size: show(done / max(size, 1)))
+                n = fetch_into(
+                    partial,
+                    patient_ask(ask, name),
+                    lambda done, size: show(min(done / max(size, 1), 1.0)),
+                    growing.get(file),
+                )
             except UserError:
                 if not partial.stat().st_size:
                     partial.unlink()
                 raise
-        partial.replace(target)
+        if file not in growing:
+            partial.replace(target)
     except OSError as error:
         hint = "free the disk and fetch it again: it goes on there; or name another folder: --out DIR"
         raise UserError(f"{target} cannot be written: {error.strerror}", hint) from None
-    sys.stdout.write(f"{target}: {n} bytes\n")
+    if file in growing:
+        sys.stdout.write(f"{partial}: {n} bytes, what was written when the fetch began; fetch it again for the rest\n")
+    else:
+        sys.stdout.write(f"{target}: {n} bytes\n")
     return 0
 
 
@@ -77,8 +96,11 @@ Ask = Callable[..., RecordingPart]
 """(offset, length, digest) to the reply."""
 
 
-def fetch_into(partial: Path, ask: Ask, report: Callable[[int, int], None]) -> int:
-    """Makes a file whole, of which a part may be there. Returns its bytes. Raises UserError where parts do not fit."""
+def fetch_into(partial: Path, ask: Ask, report: Callable[[int, int], None], end: int | None = None) -> int:
+    """Makes a file whole, of which a part may be there. Returns its bytes. Raises UserError where parts do not fit.
+
+    report: gets the bytes that are there, and those of the whole.  end: bytes that are enough; None is the whole file.
+    """
     with open(partial, "a+b", opener=opener) as out:
         done = _verified(out.seek(0, os.SEEK_END), lambda at, n: _digest(partial, at, n), ask)
         out.truncate(done)
@@ -90,8 +112,9 @@ def fetch_into(partial: Path, ask: Ask, report: Callable[[int, int], None]) -> i
             out.write(part.data)
             out.flush()
             done += len(part.data)
-            report(done, part.size)
-            if done >= part.size or not part.data:
+            size = part.size if end is None else end
+            report(done, size)
+            if done >= size or not part.data:
                 os.fsync(out.fileno())
                 return done
 

@@ -124,11 +124,22 @@ def accept_credentials(file: Path, endpoint_host: str) -> None:
     credentials = parsed_credentials(text, str(file))
     target = credentials_file(checked_host(endpoint_host))
     place = SecureFolder(target.parent)
+    replaced = _member_of(target)
     place.write(target, credentials.text().encode())
     _say(f"{credentials.name} ({credentials.role}) of {credentials.robot}")
+    if replaced not in ("", credentials.name):
+        _say(f"it replaces the credentials of {replaced} for {endpoint_host} on this computer")
     is_robot = credentials.role == MemberRole.ROBOT
     command = f"up --site tls/{endpoint_host}:7449" if is_robot else f"topic hz pose --stack tls/{endpoint_host}:7448"
     _say(f"try: zenav {command}")
+
+
+def _member_of(file: Path) -> str:
+    """The member of a file of credentials; empty where there is none."""
+    try:
+        return parsed_credentials(file.read_text(), str(file)).name
+    except (OSError, UnicodeDecodeError, UserError):
+        return ""
 
 
 def valid_member(place: SecureFolder, name: str) -> Member:

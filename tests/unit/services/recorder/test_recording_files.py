@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from services.recorder.recording_files import listed_recordings, read_part
 from shared.config import UserError
-from shared.recording_requests import RecordingPart
+from shared.recording_requests import MAX_RECORDING_PART, RecordingPart
 from zenav.fleet import site_recordings
 from zenav.fleet.site_recordings import fetch_into, patient_ask
 
@@ -45,6 +45,27 @@ def test_what_is_fetched_is_the_robots_file_whatever_was_there_before(tmp_path_f
     assert partial.read_bytes() == content
     if is_same and 0 < have <= size:
         assert min(offset for offset, _, digest in asked if not digest) == have, "nothing is carried twice"
+
+
+def test_a_recording_that_grows_faster_than_its_parts_come_ends_where_it_was_and_is_whole_later(tmp_path):
+    content = os.urandom(1_000_000)
+    (tmp_path / "a.mcap").write_bytes(content[:200_000])
+    partial = tmp_path / "a.mcap.part"
+    robot_ask, asked = robot(tmp_path)
+
+    def ask(offset, length, digest=False):
+        file = tmp_path / "a.mcap"
+        file.write_bytes(content[: file.stat().st_size + 2 * length])
+        return robot_ask(offset, length, digest)
+
+    n = fetch_into(partial, ask, lambda done, size: None, 200_000)
+    assert 200_000 <= n < 200_000 + 2 * MAX_RECORDING_PART
+    assert partial.read_bytes() == content[:n]
+    (tmp_path / "a.mcap").write_bytes(content)
+    asked.clear()
+    assert fetch_into(partial, robot_ask, lambda done, size: None) == len(content)
+    assert partial.read_bytes() == content
+    assert min(offset for offset, _, digest in asked if not digest) == n
 
 
 def test_what_is_fetched_is_for_its_user_and_group(tmp_path):

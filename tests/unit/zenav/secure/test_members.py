@@ -181,6 +181,16 @@ def test_the_robots_certificate_is_renewed_in_time_by_itself_and_keeps_its_names
     assert not commands.renew_own(place), "the authority is kept elsewhere"
 
 
+def test_credentials_that_replace_those_of_another_member_say_so(place, tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    anna, ben = add(place, "anna"), add(place, "ben")
+    for file in (anna, anna):
+        commands.accept_credentials(file, "robot.local")
+    assert "replaces" not in capsys.readouterr().out
+    commands.accept_credentials(ben, "robot.local")
+    assert "it replaces the credentials of anna for robot.local on this computer" in capsys.readouterr().out
+
+
 def test_accepted_credentials_are_found_by_the_host(place, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     monkeypatch.delenv("ZENAV_CREDENTIALS", raising=False)
