@@ -21,5 +21,5 @@ def run_site_page(robot: str, local: str, host: str, settings: list[str], log: s
         raise UserError(f"{local} is no router", "write tcp/127.0.0.1:7447, as zenav site up shows it")
     own = [f"{SERVICE}.fleet=true", f"{SERVICE}.tools=''", *host_settings(host), *settings]
     address = page_address(configured(robot, own).section(SERVICE, DashboardConfig), where)
-    sys.stderr.write(f"the page of the site is at {address.url}\n")
+    sys.stderr.write(f"the page of the site is at {address.url} as soon as its service has started\n")
     run_service(SERVICE, robot, local, settings=own, clock="", memory="", log=log)
