@@ -12,49 +12,17 @@ from typing import Any
 
 import typer
 
-# isort: off
-# in the order in which `zenav --help` lists them
-from zenav.cli import starting, robots, services, driving, looking, settings, logs  # noqa: F401  # their commands are the app's
-from zenav.cli.looking import config, topic
-from zenav.cli.robots import robot
-from zenav.cli.maps import map_
-from zenav.cli.places import places
-from zenav.cli.fleets import fleet
-from zenav.cli.zones import zones
-from zenav.cli.pages import page
-from zenav.cli.calibrating import calibrate
-from zenav.cli.recordings import recording
-from zenav.cli.batches import batch
-from zenav.cli.securing import secure
-from zenav.cli.sites import site
-from zenav.cli.measuring import bench
-
-# isort: on
-from zenav.cli.parts import DRIVE, FILES, LOOK, MAIN, app
+from zenav.cli.commands import commands_for
 
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 USAGE_ERROR: Any = typer.BadParameter.__base__  # typer's public names have only its descendants
 
-app.add_typer(robot, name="robot", rich_help_panel=MAIN)
-app.add_typer(secure, name="secure", rich_help_panel=MAIN)
-app.add_typer(topic, name="topic", rich_help_panel=LOOK)
-app.add_typer(map_, name="map", rich_help_panel=LOOK)
-app.add_typer(places, name="places", rich_help_panel=DRIVE)
-app.add_typer(fleet, name="fleet", rich_help_panel=DRIVE)
-app.add_typer(site, name="site", rich_help_panel=DRIVE)
-app.add_typer(zones, name="zones", rich_help_panel=DRIVE)
-app.add_typer(page, name="page", rich_help_panel=LOOK)
-app.add_typer(config, name="config", rich_help_panel=LOOK)
-app.add_typer(calibrate, name="calibrate", rich_help_panel=DRIVE)
-app.add_typer(recording, name="recording", rich_help_panel=FILES)
-app.add_typer(batch, name="batch", rich_help_panel=FILES)
-app.add_typer(bench, name="bench", rich_help_panel=FILES)
-
 
 def _status(arguments: list[str] | None) -> int:
     """Runs a command and returns its exit status. An error that the user can fix becomes one line and a hint."""
+    words = sys.argv[1:] if arguments is None else arguments
     try:
-        result = app(arguments, standalone_mode=False, prog_name="zenav")
+        result = commands_for(words[0] if words else "")(words, standalone_mode=False, prog_name="zenav")
         return result if isinstance(result, int) else 0
     except USAGE_ERROR as error:
         if type(error).__name__ == "NoArgsIsHelpError":

@@ -9,7 +9,7 @@ import pytest
 import typer
 from ruamel.yaml import YAML
 
-from zenav.__main__ import app
+from zenav.cli.commands import all_commands
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = (
@@ -52,7 +52,7 @@ def test_a_zenav_command_parses(command, monkeypatch):
 def parses(words: list[str]) -> bool:
     """True for a command, or a family of commands, spoken of as such. Raises typer's error otherwise."""
     arguments = words[1:]
-    parsed = typer.main.get_command(app)
+    parsed = typer.main.get_command(all_commands())
     context = None
     while hasattr(parsed, "resolve_command"):
         if not arguments:

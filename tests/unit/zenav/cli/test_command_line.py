@@ -15,6 +15,7 @@ import typer
 
 from zenav import __main__ as command_line
 from zenav.__main__ import _status
+from zenav.cli.commands import GROUPS, all_commands, commands_for
 from zenav.stack.launch import ROOT
 
 COMMANDS = [
@@ -54,7 +55,7 @@ def test_an_example_in_the_help_can_be_copied(command, capsys):
     assert _status([*command.split(), "--help"]) == 0
     example = next(line for line in capsys.readouterr().out.splitlines() if "Example: " in line)
     arguments = shlex.split(example.partition("Example: zenav ")[2])
-    parsed = typer.main.get_command(command_line.app)
+    parsed = typer.main.get_command(all_commands())
     context = None
     while hasattr(parsed, "resolve_command"):
         context = parsed.make_context(parsed.name, list(arguments), parent=context)
@@ -69,7 +70,7 @@ def test_an_example_in_the_help_can_be_copied(command, capsys):
 def test_a_replay_is_of_the_recorded_robot_and_all_else_of_the_named_one(words, robot, monkeypatch):
     monkeypatch.setenv("ZENAV_NAME", "red")
     monkeypatch.delenv("ZENAV_ROBOT", raising=False)
-    command, arguments, context = typer.main.get_command(command_line.app), shlex.split(words), None
+    command, arguments, context = typer.main.get_command(all_commands()), shlex.split(words), None
     while hasattr(command, "resolve_command"):
         context = command.make_context(command.name, list(arguments), parent=context)
         _, command, arguments = command.resolve_command(context, list(arguments))
@@ -96,7 +97,7 @@ def test_every_command_in_a_hint_exists_with_its_options():
     found = list(hints())
     assert len(found) > 60
     for place, text in found:
-        words, command = text.split(), typer.main.get_command(command_line.app)
+        words, command = text.split(), typer.main.get_command(all_commands())
         while hasattr(command, "resolve_command"):
             word = words.pop(0).strip(".:") if words else ""
             assert word in command.commands, f"{place}: zenav {text}"
@@ -113,6 +114,24 @@ def test_help_imports_nothing_heavy():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_group_alone_is_that_of_all_commands():
+    whole = typer.main.get_command(all_commands())
+    for name in GROUPS:
+        alone = typer.main.get_command(commands_for(name))
+        assert list(alone.commands) == [name]
+        assert list(alone.commands[name].commands) == list(whole.commands[name].commands)
+
+
+def test_a_group_imports_no_other_one():
+    code = (
+        "import sys; from zenav.__main__ import _status; _status(['topic', 'list']);"
+        "sys.exit(','.join(m for m in sys.modules if m.startswith('zenav.cli.')))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    loaded = {name.rpartition(".")[2] for name in done.stderr.strip().split(",")}
+    assert loaded == {"commands", "looking", "parts", "topic_list"}
 
 
 @pytest.mark.parametrize(
