@@ -12,7 +12,6 @@ import pytest
 import typer
 
 from shared.config import UserError
-from zenav.__main__ import app
 from zenav.bench import footprint, serial
 from zenav.bench.figure_cells import README
 from zenav.bench.figure_pages import (
@@ -30,6 +29,7 @@ from zenav.bench.figure_rows import ROWS, FigureRow
 from zenav.bench.figures import Bench, measure_rows, selected_rows
 from zenav.bench.localise import LocalizationTrial
 from zenav.bench.published import ROOT, CheckoutState, PublishedFigure, checkout_state, load_published, save_published
+from zenav.cli.commands import all_commands
 from zenav.metrics.latency import LatencyChain, latency_figures
 from zenav.scenario.mission import Mission
 
@@ -500,7 +500,7 @@ def test_every_part_of_a_row_is_a_command_that_writes_json(row):
     for part in row.parts:
         there = Bench(Path("/runs"), Path("/data"), STATE, 2, lambda arguments, folder: 0)
         arguments = [*there.arguments(row, part), "--out", "out.json"]
-        parsed = typer.main.get_command(app)
+        parsed = typer.main.get_command(all_commands())
         context = None
         while hasattr(parsed, "resolve_command"):
             context = parsed.make_context(parsed.name, list(arguments), parent=context)
