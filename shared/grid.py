@@ -10,6 +10,7 @@ from shared.types import Bools, Float64s, Int8s, Int32s, Int64s
 
 UNKNOWN = -1
 OCCUPIED_FROM = 65  # percent: ROS map_server's occupied_thresh 0.65
+UNCERTAIN = 50  # percent, of a coarse cell that is neither free nor occupied
 FREE_UP_TO = 25  # percent: ROS map_server's free_thresh 0.25
 
 
@@ -160,3 +161,17 @@ def update_of_cells(cells: Int8s, resolution: float, x0: float, y0: float, stamp
         stamp=stamp, map_id=0, version=1, resolution=resolution, rows=(rows + first_row)[seen].astype(np.int32),
         columns=(columns + first_column)[seen].astype(np.int32), cells=np.ascontiguousarray(tiles[seen]),
     )  # fmt: skip
+
+
+def coarse_levels(cells: Int8s, factor: int) -> Int8s:
+    """(h/factor, w/factor) int8 of cells (h, w): the most occupied of each square, as -1, 0, 50 or 100 percent.
+
+    A square with an obstacle is occupied, however small that is.
+    """
+    h, w = cells.shape
+    most = cells.reshape(h // factor, factor, w // factor, factor).max(axis=(1, 3))
+    levels = np.full(most.shape, UNCERTAIN, np.int8)
+    levels[most <= FREE_UP_TO] = 0
+    levels[most < 0] = UNKNOWN
+    levels[most >= OCCUPIED_FROM] = 100
+    return levels

@@ -5,6 +5,7 @@ Each field declares its unit, shape and bounds once; validation, documentation a
 from here. Numbers are finite unless `Within(..., nan=True)` or `inf=True`. Arrays arrive read-only.
 """
 
+import zlib
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from math import pi
@@ -619,6 +620,9 @@ class NavTask(Message):
         return None if self.waypoint < len(self.poses) else "a waypoint beyond the last pose"
 
 
+MAX_COARSE_CELLS = 2**20  # of a map that is sent to other robots
+
+
 @dataclass(frozen=True, slots=True)
 class ExplorationShare(Message):
     """The part of a robot in an exploration with others, for these. Positions are in the frame that all have in common.
@@ -626,8 +630,11 @@ class ExplorationShare(Message):
     `session` and `sequence` order the messages of one `robot`; a session is the time at which its exploration began.
     `task_id` and `others`, the robots that it explores with, are for its navigator after a restart.
     `active`: it has a frontier, or may get one. `claimed` is the frontier that it drives to, by its number, -1 without
-    one. `frontier_costs` are m of driving. `known` is 1 in the coarse cells that its map knows, and 0 where it has a
-    frontier. The lower left cell is (`first_row`, `first_column`) of that map.
+    one. `frontier_costs` are m of driving. `closed` are borders at which it saw no more, `seen` frontiers that vanished
+    when it was near.
+
+    `cells` is its map in coarse cells: `rows` x `columns` int8, packed by zlib (RFC 1950); -1 unknown, 0 free, 100
+    occupied. The lower left cell is (`first_row`, `first_column`) of that map.
     """
 
     robot: Text
@@ -643,10 +650,25 @@ class ExplorationShare(Message):
     frontier_ys: Annotated[Float32s, Unit("m"), Shape("n"), Within(-1e6, 1e6)]
     frontier_costs: Annotated[Float32s, Unit("m"), Shape("n"), Within(0, 1e6)]
     claimed: Annotated[int, Unit("1"), Within(-1, 1000)]
+    closed_xs: Annotated[Float32s, Unit("m"), Shape("k"), Within(-1e6, 1e6)]
+    closed_ys: Annotated[Float32s, Unit("m"), Shape("k"), Within(-1e6, 1e6)]
+    seen_xs: Annotated[Float32s, Unit("m"), Shape("l"), Within(-1e6, 1e6)]
+    seen_ys: Annotated[Float32s, Unit("m"), Shape("l"), Within(-1e6, 1e6)]
     cell: Annotated[float, Unit("m"), Within(0.01, 10)]
     first_row: Annotated[int, Unit("1"), Within(-(2**31), 2**31 - 1)]
     first_column: Annotated[int, Unit("1"), Within(-(2**31), 2**31 - 1)]
-    known: Annotated[Int8s, Unit("1"), Shape("h w"), Within(0, 1)]
+    rows: Annotated[int, Unit("1"), Within(0, MAX_COARSE_CELLS)]
+    columns: Annotated[int, Unit("1"), Within(0, MAX_COARSE_CELLS)]
+    cells: Annotated[bytes, Unit("zlib")]
+
+    def coarse_cells(self) -> Int8s | None:
+        """(rows, columns) int8, percent, -1 unknown; None where `cells` holds no such map."""
+        n = self.rows * self.columns
+        try:
+            data = zlib.decompressobj().decompress(self.cells, n + 1) if n <= MAX_COARSE_CELLS else b""
+        except zlib.error:
+            return None
+        return np.frombuffer(data, np.int8).reshape(self.rows, self.columns) if len(data) == n else None
 
 
 @dataclass(frozen=True, slots=True)

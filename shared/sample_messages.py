@@ -125,10 +125,16 @@ def exploration_share(
         frontier_ys=none,
         frontier_costs=none,
         claimed=-1,
-        cell=0.4,
+        closed_xs=none,
+        closed_ys=none,
+        seen_xs=none,
+        seen_ys=none,
+        cell=0.1,
         first_row=0,
         first_column=0,
-        known=np.zeros((0, 0), np.int8),
+        rows=0,
+        columns=0,
+        cells=b"",
     )
 
 

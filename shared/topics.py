@@ -131,6 +131,7 @@ NAV_STATUS  = Topic("nav/status",      m.NavStatus,     by="navigator",         
 TASK        = Topic("nav/task",        m.NavTask,       by="navigator",              hz=0,  keep="latest", within=0.010, latched=True)
 SHARE       = Topic("explore/share",   m.ExplorationShare, by="navigator",           hz=0,  keep="latest", within=0.010, latched=True)
 OTHERS_SHARE = Topic("explore/others", m.ExplorationShare, by="operator",            hz=0,  keep="all",    within=0.010)
+OTHERS_MAP  = Topic("explore/map",     m.MapUpdate,     by="navigator",              hz=0,  keep="all",    within=0.050, latched=True)
 CMD_NAV     = Topic("cmd/nav",         m.Velocity,      by="local_ctrl",             hz=20, keep="latest", within=0.030)
 TELEOP      = Topic("cmd/teleop",      m.Velocity,      by="operator dashboard ros2", hz=20, keep="latest", within=0.005)
 ESTOP       = Topic("estop",           m.EmergencyStop, by="operator dashboard ros2 uplink", hz=0,  keep="all",    within=0.005, latched=True, crosses=Crossing(inward=True))

@@ -2,6 +2,7 @@
 """Choice of the next frontier: the first of the shortest tour, with hysteresis and a bound of visits."""
 
 from dataclasses import dataclass
+from math import hypot
 
 import numpy as np
 from pydantic import Field
@@ -13,6 +14,7 @@ from shared import reasons
 from shared.config import Section
 from shared.geometry import Pose2, wrapped
 from shared.grid import OccupancyGrid
+from shared.joint_map import joined
 from shared.messages import TILE_CELLS
 from shared.reasons import Reason
 from shared.types import Float64s, Int8s, Int64s
@@ -22,6 +24,9 @@ Cell = tuple[int, int]
 _SAME_TARGET_M = 0.5  # between a frontier and the target that are the same
 _GIVE_UP_RADIUS_M = 1.0  # around a target that is given up with it
 _BEYOND_TOUR_COST_M = 1e6  # extra cost of frontiers that are too far for the tour
+_CLOSED_AROUND_M = 0.3  # around the places of a border at which another robot saw no more
+_SEEN_FROM_M = 3.0  # from a frontier that vanishes, within which it was seen
+_SMALL_SIZES = 2.0  # in min_size: a frontier up to here that was seen before is no frontier again
 _VISIT_CELL_M = 0.5  # side of the squares by which visits are counted
 
 
@@ -74,6 +79,8 @@ class Exploration:
         self._given_up: set[Cell] = set()
         self._failed: set[Cell] = set()
         self._visits: dict[Cell, int] = {}
+        self._seen_by_others: list[tuple[float, float]] = []
+        self._seen = sharing.seen if sharing is not None else []  # targets that vanished when the robot was near
         self._last_try = False
         self._n_missed = 0  # frontiers that failed in the last try, too
         self._last_cause: Reason = reasons.NO_PROGRESS  # why the last one failed
@@ -92,30 +99,31 @@ class Exploration:
         return np.array(sorted(self._given_up | self._failed), np.int64).reshape(-1, 2)
 
     def snapshot(self, grid: OccupancyGrid, cells: Int8s, pose: Pose2, robot_radius: float, now: int) -> Snapshot:
-        """Input of a search on the cells (h, w) of a grid.  robot_radius: m, inscribed.
-
-        Where others explore too, the cells have a margin of unknown ones, as what lies there may be known to them.
-        """
-        areas = self.sharing.areas(now) if self.sharing is not None else ()
-        margin = 1 if areas else 0
+        """Input of a search on the cells (h, w) of a grid.  robot_radius: m, inscribed."""
+        dropped = self.dropped
+        if self.sharing is not None:
+            looked_at = _cells_around(self.sharing.begin_search(now), grid.resolution)
+            dropped = np.concatenate((dropped, looked_at))
         return Snapshot(
-            cells=np.pad(cells, margin, constant_values=np.int8(-1)),
-            first_row=grid.first_row * TILE_CELLS - margin,
-            first_column=grid.first_column * TILE_CELLS - margin,
+            cells=cells,
+            first_row=grid.first_row * TILE_CELLS,
+            first_column=grid.first_column * TILE_CELLS,
             resolution=grid.resolution,
             x=pose.x,
             y=pose.y,
             robot_radius=robot_radius,
-            dropped=self.dropped,
-            areas=areas,
+            dropped=dropped,
         )
 
-    def own_part(self, found: Frontiers, now: int) -> Frontiers | None:
-        """The frontiers that are left to this robot; all, where it explores alone. None if it searched for others."""
+    def known_map(self, grid: OccupancyGrid) -> OccupancyGrid:
+        """The own map, with that of the robots that it explores with where the own one is unknown."""
+        return grid if self.sharing is None else joined(grid, self.sharing.map.grid)
+
+    def own_part(self, found: Frontiers, now: int) -> Frontiers:
+        """The frontiers that are left to this robot; all, where it explores alone."""
         if self.sharing is None:
             return found
-        if self.sharing.is_outdated:
-            return None
+        self._seen_by_others = self.sharing.seen_by_others(now)
         target = (self.target.frontier.x, self.target.frontier.y) if self.target is not None else None
         return self.sharing.own_frontiers(found, target, now)
 
@@ -128,6 +136,8 @@ class Exploration:
             if same is None:
                 if self.looking is None and _is_unreachable(result, self.target, resolution):
                     return self.target  # planner and local control decide whether it can be reached
+                if pose.distance(Pose2(self.target.x, self.target.y)) <= _SEEN_FROM_M:
+                    self._seen.append((self.target.x, self.target.y))
             elif self.looking is None:
                 gain = costs[id(same)] - costs[id(ranked[0])]
                 self._n_better = self._n_better + 1 if gain > self.config.switch_gain else 0
@@ -136,18 +146,32 @@ class Exploration:
             elif self.looking < self.config.look_time:
                 return self.target
             else:
-                self._give_up(same, self.target, resolution, self._given_up)
-                if self.sharing is not None:  # nor can another robot see it better
-                    self._give_up(same, self.target, resolution, self.sharing.looked_at)
+                self._close(same, self.target, resolution)
                 ranked.remove(same)
         self._forget()
         for frontier in ranked:
             target = _target_of(frontier, resolution)
-            if self._visits.get(_visit_cell(target), 0) < self.config.max_visits:
+            if self._visits.get(_visit_cell(target), 0) < self.config.max_visits and not self._was_seen(target):
                 self.target = target
                 break
-            self._give_up(frontier, target, resolution, self._given_up)
+            self._close(frontier, target, resolution)
         return self.target
+
+    def _was_seen(self, target: FrontierTarget) -> bool:
+        """Whether the robot has seen a small frontier before, which vanished then: cells at the edge of a view change
+        between known and uncertain.
+        """
+        is_small = target.frontier.size < _SMALL_SIZES * self.config.frontier.min_size
+        seen = (*self._seen, *self._seen_by_others)
+        return is_small and any(hypot(x - target.x, y - target.y) <= _GIVE_UP_RADIUS_M for x, y in seen)
+
+    def _close(self, frontier: Frontier, target: FrontierTarget, resolution: float) -> None:
+        """Gives up what cannot be seen better, nor by another robot."""
+        closed: set[Cell] = set()
+        self._give_up(frontier, target, resolution, closed)
+        self._given_up |= closed
+        if self.sharing is not None:
+            self.sharing.close(np.array(sorted(closed), np.int64), resolution)
 
     def passed(self, seconds: float, pose: Pose2) -> None:
         """Advances the clocks by `seconds` with the robot at a pose."""
@@ -160,7 +184,6 @@ class Exploration:
 
     def arrived(self) -> None:
         """Begins the look at the target. Time spent close to it counts for up to half of the look."""
-        self._end_help()
         self.looking = min(self._near, self.config.look_time / 2)
 
     def failed(self, resolution: float, reason: Reason) -> None:
@@ -170,7 +193,6 @@ class Exploration:
             into = self._given_up if self._last_try else self._failed
             self._give_up(self.target.frontier, self.target, resolution, into)
         self._forget()
-        self._end_help()
 
     def retry_failed(self) -> bool:
         """Makes failed frontiers valid again, once. Returns whether there were any."""
@@ -200,10 +222,6 @@ class Exploration:
             spot = _visit_cell(self.target)
             self._visits[spot] = self._visits.get(spot, 0) + 1
         self.target, self.looking, self._near, self._n_better = None, None, 0.0, 0
-
-    def _end_help(self) -> None:
-        if self.sharing is not None:
-            self.sharing.helps = False
 
     def _give_up(self, frontier: Frontier, target: FrontierTarget, resolution: float, into: set[Cell]) -> None:
         """Drops the frontier's cells around the target, and at least the nearest one."""
@@ -241,6 +259,16 @@ def _target_of(frontier: Frontier, resolution: float) -> FrontierTarget:
     xs, ys = _centres(frontier.cells, resolution)
     middle = int(np.argmin(np.hypot(xs - xs.mean(), ys - ys.mean())))
     return FrontierTarget(frontier, float(xs[middle]), float(ys[middle]))
+
+
+def _cells_around(points: Float64s, resolution: float) -> Int64s:
+    """(n, 2) int64 rows and columns of `map` within _CLOSED_AROUND_M of points (k, 2) m."""
+    reach = int(_CLOSED_AROUND_M / resolution)
+    steps = np.arange(-reach, reach + 1)
+    rows, columns = (part.ravel() for part in np.meshgrid(steps, steps, indexing="ij"))
+    disc = np.column_stack((rows, columns))[rows**2 + columns**2 <= reach**2]
+    middles = np.floor(points[:, ::-1] / resolution).astype(np.int64)
+    return np.asarray(middles[:, None, :] + disc[None, :, :]).reshape(-1, 2)
 
 
 def _distances_to(cells: Int64s, target: FrontierTarget, resolution: float) -> Float64s:

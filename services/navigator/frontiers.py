@@ -10,7 +10,6 @@ import numpy as np
 from numba import njit
 from pydantic import Field
 
-from services.navigator.known_area import KnownArea, known_elsewhere
 from shared.config import Section
 from shared.distance_field import distance_field
 from shared.grid import FREE_UP_TO, OCCUPIED_FROM
@@ -60,15 +59,13 @@ class Frontiers:
     """The result of a search, the nearest frontier first.
 
     `unreachable`: cells of borders without a path to them, where the robot would fit. `enclosed`: the robot fits
-    nowhere. `between`: (k, k) m to drive between the first k = min(n, 20), on a grid three times as coarse. `border`:
-    (b, 2) cells of all frontiers of the own map, with those that are dropped and those that others know more about.
+    nowhere. `between`: (k, k) m to drive between the first k = min(n, 20), on a grid three times as coarse.
     """
 
     frontiers: tuple[Frontier, ...]
     unreachable: tuple[Int64s, ...]
     enclosed: bool
     between: Float64s
-    border: Int64s
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,7 +74,7 @@ class Snapshot:
 
     `cells`: (h, w) int8, percent, -1 unknown; its lower left cell is (first_row, first_column) of `map`. `resolution`:
     m. `x`, `y`: m, the robot. `robot_radius`: m, inscribed. `dropped`: (n, 2) int64 cells of `map` that are no
-    frontiers, with their neighbours. `areas`: what other robots know: it has no frontiers towards that.
+    frontiers, with their neighbours.
     """
 
     cells: Int8s
@@ -88,7 +85,6 @@ class Snapshot:
     y: float
     robot_radius: float
     dropped: Int64s
-    areas: tuple[KnownArea, ...] = ()
 
 
 def find_frontiers(snapshot: Snapshot, config: FrontierConfig) -> Frontiers:
@@ -99,7 +95,7 @@ def find_frontiers(snapshot: Snapshot, config: FrontierConfig) -> Frontiers:
     column, row = snapshot.x / resolution - snapshot.first_column, snapshot.y / resolution - snapshot.first_row
     h, w = cells.shape
     if not (0 <= row < h and 0 <= column < w):
-        return Frontiers((), (), True, np.zeros((0, 0)), np.zeros((0, 2), np.int64))
+        return Frontiers((), (), True, np.zeros((0, 0)))
     free = _free_cells(cells, row, column, snapshot.robot_radius / resolution)
     passable = free & (distance >= clearance - 1e-6)
     travelled = _travel_costs(passable, distance, int(row), int(column), _MAX_ESCAPE_M / resolution)
@@ -116,12 +112,7 @@ def find_frontiers(snapshot: Snapshot, config: FrontierConfig) -> Frontiers:
     n_steps = ceil(room_wanted / resolution) + 3
     seen_from = _nearest_places(free, places & (travelled < _UNREACHED), n_steps)
     cut_off_from = _nearest_places(free, places & (travelled == _UNREACHED), n_steps)
-    whole = border = _border_cells(free, cells)
-    if snapshot.areas:
-        beside = ~free & (cells < OCCUPIED_FROM) & dilated(border)
-        elsewhere = known_elsewhere(beside, snapshot.first_row, snapshot.first_column, resolution, snapshot.areas)
-        border = _border_cells(free, np.where(elsewhere, np.int8(OCCUPIED_FROM), cells))
-    border = border.copy()
+    border = _border_cells(free, cells)
     dropped = snapshot.dropped - (snapshot.first_row, snapshot.first_column)
     dropped = dropped[((dropped >= 0) & (dropped < (h, w))).all(axis=1)]
     for dr in (-1, 0, 1):
@@ -131,7 +122,6 @@ def find_frontiers(snapshot: Snapshot, config: FrontierConfig) -> Frontiers:
     deep = distance >= snapshot.robot_radius
     pieces, ends = _split_border(border & (seen_from >= 0), deep, n_min, n_max)
     others, other_ends = _split_border(border & (seen_from < 0) & (cut_off_from >= 0), deep, n_min, n_max)
-    all_pieces, all_ends = _split_border(whole & ((seen_from >= 0) | (cut_off_from >= 0)), deep, n_min, n_max)
     unknown = np.pad((cells < 0) | ((cells > FREE_UP_TO) & (cells < OCCUPIED_FROM)), 1, constant_values=True)
     frontiers = sorted(
         (
@@ -148,7 +138,6 @@ def find_frontiers(snapshot: Snapshot, config: FrontierConfig) -> Frontiers:
         unreachable,
         enclosed,
         _distances_between(np.asarray(travelled < _UNREACHED), snapshot, frontiers[:_MAX_TOURED]),
-        _map_cells(all_pieces[: all_ends[-1] if all_ends else 0], snapshot),
     )
 
 
@@ -169,16 +158,6 @@ def _distances_between(reached: Bools, snapshot: Snapshot, frontiers: list[Front
     for i, (row, column) in enumerate(zip(rows, columns)):
         between[i] = _travel_costs(coarse, nowhere, row, column, 0.0)[rows, columns] / _STRAIGHT * side
     return np.asarray(np.maximum(between, between.T))
-
-
-def dilated(cells: Bools) -> Bools:
-    """The cells, (h, w) bool, and their four neighbours: scipy.ndimage.binary_dilation without scipy's 12 MB."""
-    grown = cells.copy()
-    grown[1:] |= cells[:-1]
-    grown[:-1] |= cells[1:]
-    grown[:, 1:] |= cells[:, :-1]
-    grown[:, :-1] |= cells[:, 1:]
-    return grown
 
 
 def _map_cells(piece: Int32s, snapshot: Snapshot) -> Int64s:

@@ -194,8 +194,6 @@ class Navigation:
         if pose is None or self.paused or self.suspended or self.action:
             return
         own, before = exploration.own_part(result, now), exploration.target
-        if own is None:
-            return
         target = exploration.choose_target(own, pose, self.grid.resolution)
         if target is None:
             if self.attempt:
@@ -368,8 +366,9 @@ class Navigation:
         due = self.searched >= _SEARCH_PERIOD_S and self.searching >= _SEARCH_TIMEOUT_S
         if due and not (self.action or self.suspended):
             self.keep_out.moved(pose)
-            cells = laid(grid, self.keep_out.holding)  # keep-out zones are not explored
-            snapshot = exploration.snapshot(grid, cells, pose, self.robot.inscribed_radius, now)
+            known = exploration.known_map(grid)
+            cells = laid(known, self.keep_out.holding)  # keep-out zones are not explored
+            snapshot = exploration.snapshot(known, cells, pose, self.robot.inscribed_radius, now)
             self.searching = 0.0
             arguments = self.task_id, grid.map_id, snapshot, self.config.exploration.frontier
             yield Job(search, arguments, done="frontiers_found", takes=0.05)

@@ -9,6 +9,7 @@ from services.navigator.frontiers import Frontiers
 from services.navigator.goal_check import refused_pose
 from services.navigator.motion import SingleMotion, refusal, straight, turn
 from services.navigator.navigation import Navigation, Task
+from services.navigator.others_map import warm_up_laying
 from services.navigator.resumption import Resumption
 from services.navigator.route import route_of
 from services.navigator.share_publisher import SharePublisher
@@ -62,6 +63,7 @@ class NavigatorService(Service):
 
     def warm_up(self) -> None:
         warm_up_search(self.config.exploration.frontier)
+        warm_up_laying()
 
     def state(self) -> str:
         return str(self.navigation.state)
@@ -133,7 +135,7 @@ class NavigatorService(Service):
 
     @on(topics.SHARE)
     def share_before_the_restart(self, share: ExplorationShare) -> Out:
-        self.resumption.share = share
+        self.resumption.share, self.shares.is_shown = share, True
         return ()
 
     @on(topics.ZONES)

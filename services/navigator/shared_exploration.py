@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Exploring with other robots: each one leaves the frontiers to the robot whose tour reaches them first.
 
-Every robot sends the others its position, the area that it knows, its frontiers and the one that it drives to. All
-decide by the same rule, and there is no central process. Frontiers are dealt out one by one. The next one goes to the
+Every robot sends the others its position, its map, its frontiers and the one that it drives to. All decide by the same
+rule, and there is no central process. Frontiers are dealt out one by one. The next one goes to the
 robot that reaches it first, after those that this robot has (list scheduling, Graham 1969). Burgard et al., T-RO 2005,
 share frontiers by travel cost too, one to each robot. A robot that falls silent loses its frontiers after a lease.
 """
@@ -15,16 +15,17 @@ import numpy as np
 from pydantic import Field
 
 from services.navigator.frontiers import Frontier, Frontiers
-from services.navigator.known_area import BLOCK_CELLS, MAX_BLOCKS, KnownArea, blocks_per_tile, known_blocks
+from services.navigator.others_map import OthersMap, PackedMap, packed_map
 from shared.config import Section
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
-from shared.messages import TILE_CELLS, ExplorationShare
-from shared.types import Float64s, Int64s
+from shared.messages import ExplorationShare, MapUpdate
+from shared.types import Float32s, Float64s, Int8s, Int64s
 
-_DETOUR = 1.4  # m of driving per m of straight line, where no path is known
+_DETOUR = 1.4  # m of driving per m of straight line, between frontiers
 _KEEP_M = 1.0  # m by which another robot must be nearer to take a frontier that is driven to
-_MAX_FRONTIERS = 40  # in a message, the nearest
+_CLOSED_M = 0.2  # between the places of a border at which the robot saw no more, in a message
+_MAX_FRONTIERS = 100  # in a message, the nearest
 
 Point = tuple[float, float]
 
@@ -48,15 +49,20 @@ class Teammate:
     share: ExplorationShare
     arrived: int
 
-    def point(self, map_from_common: Pose2) -> Point:
-        """Where it is, m in the own `map`."""
-        pose = map_from_common @ Pose2(self.share.x, self.share.y)
-        return pose.x, pose.y
-
     def frontiers(self, map_from_common: Pose2) -> Float64s:
         """(n, 2) m in the own `map`."""
         points = np.column_stack((self.share.frontier_xs, self.share.frontier_ys)).astype(np.float64)
         return np.asarray(map_from_common @ points)
+
+    def closed(self, map_from_common: Pose2) -> Float64s:
+        """(n, 2) m in the own `map`: borders at which it saw no more."""
+        points = np.column_stack((self.share.closed_xs, self.share.closed_ys)).astype(np.float64)
+        return np.asarray(map_from_common @ points)
+
+    def seen(self, map_from_common: Pose2) -> list[Point]:
+        """m in the own `map`: frontiers that vanished when it was near."""
+        points = np.column_stack((self.share.seen_xs, self.share.seen_ys)).astype(np.float64)
+        return [(x, y) for x, y in np.asarray(map_from_common @ points).tolist()]
 
 
 class SharedExploration:
@@ -67,16 +73,18 @@ class SharedExploration:
 
     def __init__(self, config: SharingConfig, name: str, others: Sequence[str], common_from_map: Pose2) -> None:
         self.config, self.name, self.others, self.common_from_map = config, name, tuple(others), common_from_map
+        self.map = OthersMap()
         self.found: Frontiers | None = None  # by the last search
-        self.helps = False  # no frontier of its own is left: it drives to those of others, through what they know
-        self.is_done = False  # there is none of theirs to drive to
-        self.looked_at: set[tuple[int, int]] = set()  # rows and columns of `map`: borders that cannot be seen better
-        self._searched_with_others = self._searched_to_help = False
+        self.is_done = False  # nothing is left to this robot, and it waits for the others
+        self.seen: list[Point] = []  # m in `map`: frontiers that vanished when it was near
+        self._closed: set[tuple[int, int]] = set()  # (x, y) on a raster of _CLOSED_M: borders at which it saw no more
+        self._searched_with_others = False
         self._teammates: dict[str, Teammate] = {}
         self._sequence = 0
         self._sent: int | None = None  # ns, of the last message
         self._sent_active = False
         self._session: int | None = None
+        self._packed: tuple[Int8s, PackedMap] | None = None  # the last map that was sent, with its cells
 
     def take(self, share: ExplorationShare, now: int) -> None:
         """Takes the message of another robot, unless it is older than the last one, or of no robot that is known.
@@ -99,74 +107,54 @@ class SharedExploration:
         """The robots that explore and were heard within the lease."""
         return [mate for mate in self._teammates.values() if mate.share.active and self._is_leased(mate, now)]
 
-    def areas(self, now: int) -> tuple[KnownArea, ...]:
-        """What the others know: those that are alive, and those that have finished. Nothing counts while it helps."""
-        alive = {mate.share.robot for mate in self.alive(now)}
-        self._searched_with_others, self._searched_to_help = bool(alive), self.helps
-        if self.helps:
-            return ()
-        mates = [mate for name, mate in self._teammates.items() if name in alive or not mate.share.active]
-        return tuple(
-            KnownArea(
-                mate.share.common_from_map.inverse() @ self.common_from_map,
-                mate.share.cell,
-                mate.share.first_row,
-                mate.share.first_column,
-                mate.share.known,
-            )
-            for mate in mates
-        )
+    def _known(self, now: int) -> list[Teammate]:
+        """The robots whose map counts: those that are alive, and those that have finished."""
+        return [mate for mate in self._teammates.values() if not mate.share.active or self._is_leased(mate, now)]
 
-    @property
-    def is_outdated(self) -> bool:
-        """Whether the last search was to help, and the robot helps no more, or the other way round."""
-        return self._searched_to_help is not self.helps
+    def map_update(self, resolution: float, now: int) -> MapUpdate | None:
+        """Returns the tiles of what the others know that changed since the last call, in the own `map`; None without
+        any.
+        """
+        return self.map.update((mate.share for mate in self._known(now)), self.common_from_map, resolution, now)
+
+    def close(self, cells: Int64s, resolution: float) -> None:
+        """Takes the cells (n, 2) rows and columns of `map` of a border at which the robot saw no more."""
+        places = np.unique(np.round((cells[:, ::-1] + 0.5) * (resolution / _CLOSED_M)).astype(np.int64), axis=0)
+        self._closed.update((x, y) for x, y in places.tolist())
+
+    def begin_search(self, now: int) -> Float64s:
+        """Returns (n, 2) m in the own `map`: the borders at which another robot saw no more, for one search."""
+        self._searched_with_others = bool(self.alive(now))
+        map_from_common = self.common_from_map.inverse()
+        closed = [mate.closed(map_from_common) for mate in self._known(now)]
+        return np.concatenate(closed) if closed else np.zeros((0, 2))
+
+    def seen_by_others(self, now: int) -> list[Point]:
+        """Returns m in the own `map`: frontiers that vanished when another robot was near."""
+        map_from_common = self.common_from_map.inverse()
+        return [place for mate in self._known(now) for place in mate.seen(map_from_common)]
 
     def own_frontiers(self, found: Frontiers, target: Point | None, now: int) -> Frontiers:
-        """Returns the part of the found frontiers that this robot is to explore.
-
-        target: the frontier that it drives to.  Where it helps, that is one frontier towards theirs.
-        """
-        if not self.helps:
-            self.found = found
-        alive = self.alive(now)
-        map_from_common = self.common_from_map.inverse()
-        if self.helps and target is not None:
-            k = _nearest([(frontier.x, frontier.y) for frontier in found.frontiers], target, self.config.same_frontier)
-            return subset(found, [] if k is None else [k])
-        if self.helps:
-            towards = self._towards_others(found, alive, map_from_common)
-            self.is_done = self.is_done and not towards
-            return subset(found, towards)
-        dealt = self._dealt(found, target, alive, map_from_common)
+        """Returns the part of the found frontiers that this robot is to explore. target: the one that it drives to."""
+        self.found = found
+        dealt = self._dealt(found, target, self.alive(now))
         self.is_done = self.is_done and not dealt
         return subset(found, dealt)
 
     def waits(self, settled: bool, now: int) -> bool:
-        """Whether to wait for the others, as no frontier is left to this robot.  settled: for long enough.
-
-        Then every other search is for frontiers that they have not begun. While there are none, this robot is done.
-        """
+        """Whether to wait for the others, as no frontier is left to this robot.  settled: for long enough."""
         if not self.alive(now):
-            self.helps = False
             return self._searched_with_others  # what a robot knew that fell silent is searched first
-        self.is_done, self.helps = self.is_done or (settled and self.helps), settled and not self.helps
+        self.is_done = self.is_done or settled
         return True
 
-    def _open_border(self) -> Int64s:
-        """(n, 2) cells of the frontiers' borders, without those, and their neighbours, that were looked at."""
-        closed = {(row + dr, column + dc) for row, column in self.looked_at for dr in (-1, 0, 1) for dc in (-1, 0, 1)}
-        cells = self.found.border.tolist() if self.found is not None else ()
-        return np.array([cell for cell in cells if tuple(cell) not in closed], np.int64).reshape(-1, 2)
-
-    def _dealt(
-        self, found: Frontiers, target: Point | None, alive: list[Teammate], map_from_common: Pose2
-    ) -> list[int]:
+    def _dealt(self, found: Frontiers, target: Point | None, alive: list[Teammate]) -> list[int]:
         """Returns the indices of the frontiers that are dealt to this robot.
 
-        A robot gets those near it, listed by it or not: it will see them soon. But where nothing is left to this robot,
-        it keeps all that no other lists. Else each of two robots may leave a frontier to the other.
+        Where nothing is left to it, and no other robot drives to a frontier, it keeps all. Each of two robots may have
+        left a frontier to the other.
         """
+        map_from_common = self.common_from_map.inverse()
         own = [(frontier.x, frontier.y) for frontier in found.frontiers]
         places, same = list(own), self.config.same_frontier
         bids: dict[str, dict[int, float]] = {}  # of each robot, by place
@@ -179,38 +167,20 @@ class SharedExploration:
                     k = len(places)
                     places.append((x, y))
                 bids[mate.share.robot][k] = min(cost, bids[mate.share.robot].get(k, inf))
-        listed = {name: [bid.get(k, inf) for k in range(len(places))] for name, bid in bids.items()}
-        listed[self.name] = [frontier.distance for frontier in found.frontiers] + [inf] * (len(places) - len(own))
-        near = dict(listed)
-        for mate in alive:
-            here, bid = mate.point(map_from_common), bids[mate.share.robot]
-            near[mate.share.robot] = [bid.get(k, _DETOUR * _apart(here, place)) for k, place in enumerate(places)]
+        costs = {name: [bid.get(k, inf) for k in range(len(places))] for name, bid in bids.items()}
+        costs[self.name] = [frontier.distance for frontier in found.frontiers] + [inf] * (len(places) - len(own))
         claims = {mate.share.robot: _claim(mate, map_from_common) for mate in alive} | {self.name: target}
-        for costs in (near, listed):
-            if dealt := [k for k in deal(places, costs, claims, same)[self.name] if k < len(own)]:
-                return dealt
-        return []
-
-    def _towards_others(self, found: Frontiers, alive: list[Teammate], map_from_common: Pose2) -> list[int]:
-        """Returns the index of the frontier by which one of theirs that no robot drives to is reached soonest."""
-        free = []
-        for mate in alive:
-            claim = _claim(mate, map_from_common)
-            theirs = [(x, y) for x, y in mate.frontiers(map_from_common).tolist()]
-            free += [place for place in theirs if claim is None or _apart(place, claim) > self.config.same_frontier]
-        costs = [
-            frontier.distance + min(_DETOUR * _apart((frontier.x, frontier.y), place) for place in free)
-            for frontier in found.frontiers
-            if free
-        ]
-        return [int(np.argmin(costs))] if costs else []
+        dealt = [k for k in deal(places, costs, claims, same)[self.name] if k < len(own)]
+        if not dealt and all(claim is None for claim in claims.values()):
+            return list(range(len(own)))
+        return dealt
 
     def message(
         self, pose: Pose2, target: Point | None, grid: OccupancyGrid, explores: bool, task_id: int, now: int
     ) -> ExplorationShare | None:
         """Returns the message for the others, when it is due; None before.
 
-        explores: it is on its way, or will be.  target: the frontier that it drives to.
+        explores: it is on its way, or will be.  target: the frontier that it drives to.  grid: the own map.
         """
         active = explores and not self.is_done
         is_due = self._sent is None or not 0 <= now - self._sent < round(self.config.period * 1e9)
@@ -221,9 +191,12 @@ class SharedExploration:
         self._sent, self._sequence = now, self._sequence + 1
         here = self.common_from_map @ pose
         frontiers = list(self.found.frontiers if self.found is not None else ())[:_MAX_FRONTIERS]
-        points = self.common_from_map @ np.array([(f.x, f.y) for f in frontiers], np.float64).reshape(-1, 2)
-        corner = np.array((grid.first_row, grid.first_column)) * TILE_CELLS
-        known = known_blocks(grid.cells, self._open_border() - corner)
+        xs, ys = self._in_common([(f.x, f.y) for f in frontiers])
+        closed_xs, closed_ys = self._in_common([(x * _CLOSED_M, y * _CLOSED_M) for x, y in sorted(self._closed)])
+        seen_xs, seen_ys = self._in_common(self.seen)
+        if self._packed is None or self._packed[0] is not grid.cells:
+            self._packed = grid.cells, packed_map(grid)
+        packed = self._packed[1]
         return ExplorationShare(
             stamp=now,
             robot=self.name,
@@ -235,15 +208,26 @@ class SharedExploration:
             common_from_map=self.common_from_map,
             x=here.x,
             y=here.y,
-            frontier_xs=points[:, 0].astype(np.float32),
-            frontier_ys=points[:, 1].astype(np.float32),
+            frontier_xs=xs,
+            frontier_ys=ys,
             frontier_costs=np.array([f.distance for f in frontiers], np.float32),
             claimed=-1 if target is None else _index_of(frontiers, target, self.config.same_frontier),
-            cell=grid.resolution * BLOCK_CELLS,
-            first_row=grid.first_row * blocks_per_tile(),
-            first_column=grid.first_column * blocks_per_tile(),
-            known=known if known.size <= MAX_BLOCKS else known[:0, :0],
+            closed_xs=closed_xs,
+            closed_ys=closed_ys,
+            seen_xs=seen_xs,
+            seen_ys=seen_ys,
+            cell=packed.cell,
+            first_row=packed.first_row,
+            first_column=packed.first_column,
+            rows=packed.rows,
+            columns=packed.columns,
+            cells=packed.cells,
         )
+
+    def _in_common(self, points: Sequence[Point]) -> tuple[Float32s, Float32s]:
+        """x (n,) and y (n,) m in the common frame."""
+        x, y = (self.common_from_map @ np.array(points, np.float64).reshape(-1, 2)).T.astype(np.float32)
+        return x, y
 
 
 def deal(

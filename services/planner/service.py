@@ -8,19 +8,18 @@ import numpy as np
 
 from services.planner.costmap import CostConfig, GlobalCostmap
 from services.planner.costmap_topic import PERIOD_NS as COSTMAP_PERIOD_NS
-from services.planner.costmap_topic import costmap_message, separate_costmap
+from services.planner.costmap_topic import costmap_message
 from services.planner.hierarchical_search import HierarchicalSearch
-from services.planner.keep_out_layer import KeepOutLayer
 from services.planner.other_robots import PlannerTraffic
 from services.planner.plan_message import plan_message
 from services.planner.plan_monitor import PlanMonitor, PlanMonitorConfig, search_ahead
 from services.planner.planning import GlobalPlan, PlanningConfig, no_plan, plan_path, turning_limits
+from services.planner.present_costmap import PresentCostmap
 from shared import reasons, requests, topics
 from shared import sample_messages as sample
 from shared.config import Robot, Section
 from shared.contacts import ContactPlaces
 from shared.geometry import Pose2
-from shared.grid import OccupancyGrid
 from shared.messages import (
     TILE_CELLS,
     Contacts,
@@ -39,7 +38,6 @@ from shared.pose_tracker import PoseTracker
 from shared.requests import Reply, Watch
 from shared.service import Answer, Out, Service, answer, every, on
 from shared.settings import Configuration
-from shared.types import Bools
 from shared.watched_topic import WatchedTopic
 
 PERIOD_NS = 500_000_000
@@ -64,18 +62,13 @@ class PlannerService(Service):
 
     def __init__(self, config: PlannerConfig, robot: Robot) -> None:
         super().__init__(config, robot)
-        self.grid = OccupancyGrid()
-        self.costmap: GlobalCostmap | None = None
+        self.present = PresentCostmap(config.cost, robot)
         self.search = HierarchicalSearch()
-        self.keep_out = KeepOutLayer(robot.circumscribed_radius)
         self.pose_tracker = PoseTracker()
         self.contact_places, self.traffic = ContactPlaces(robot), PlannerTraffic()
         self.monitor = PlanMonitor(config.replanning, search_ahead(robot.drive, 1e-9 * PERIOD_NS))
         self.goal: Goal | None = None  # that is planned to
         self.order: Order | None = None  # the one with the highest id
-        self.changed: Bools | None = None  # cells of the map since the costmap's update; None: all
-        self.is_costmap_current = True
-        self.updated_at = -PERIOD_NS  # of the costmap
         self.limits_published = False
         self.costmap_topic = WatchedTopic(COSTMAP_PERIOD_NS)
 
@@ -106,27 +99,29 @@ class PlannerService(Service):
         """Computes the costs again where they changed, and plans again at once."""
         self.monitor.config = new.config.replanning
         if new.config.cost != old.config.cost:
-            self.costmap, self.limits_published = None, False
+            self.present.configure(new.config.cost)
+            self.limits_published = False
         self.monitor.clear()
         yield from self._publish_plan(always=True)
 
     @on(topics.MAP)
     def map(self, update: MapUpdate) -> Out:
         """Takes tiles of the map. The plan follows at once, unless the costmap was just updated."""
-        shape, map_id, resolution = self.grid.cells.shape, self.grid.map_id, self.grid.resolution
-        changed = self.grid.apply(update)
-        if (self.grid.map_id, self.grid.resolution) != (map_id, resolution):
-            self.costmap = None
+        if self.present.apply(update):
             self.contact_places.clear()
-            self.keep_out.set_temporary(self.traffic.polygons)
+            self.present.set_temporary(self.traffic.polygons)
             self.monitor.clear()
-        same = self.costmap is not None and changed.shape == shape
-        if self.is_costmap_current:
-            self.changed = changed if same else None
-        elif self.changed is not None:
-            self.changed = self.changed | changed if same else None
-        self.is_costmap_current = False
-        if self.goal and self.now - self.updated_at >= 0.8 * PERIOD_NS:
+        yield from self._map_changed()
+
+    @on(topics.OTHERS_MAP)
+    def others_map(self, update: MapUpdate) -> Out:
+        """Takes tiles of what the robots know that this one explores with."""
+        self.present.apply_others(update)
+        yield from self._map_changed()
+
+    def _map_changed(self) -> Out:
+        updated_at = self.present.updated_at
+        if self.goal and (updated_at is None or self.now - updated_at >= 0.8 * PERIOD_NS):
             yield from self._publish_plan(always=False)
 
     @on(topics.MAP_STATE)
@@ -137,11 +132,10 @@ class PlannerService(Service):
 
     @on(topics.ZONES)
     def zones(self, zones: Zones) -> Out:
-        self.keep_out.set_zones(zones)
+        self.present.set_zones(zones)
         yield from self._zones_changed()
 
     def _zones_changed(self) -> Out:
-        self.changed, self.is_costmap_current = None, False
         self.monitor.clear()
         yield from self._publish_plan(always=True)
 
@@ -150,14 +144,14 @@ class PlannerService(Service):
         """Takes the places of contacts as zones for a while, and plans around them at once."""
         pose = self.pose_tracker.map_from_base
         if pose is not None and self.contact_places.add(contacts, pose, self.now):
-            self.keep_out.set_temporary((*self.contact_places.polygons, *self.traffic.polygons))
+            self.present.set_temporary((*self.contact_places.polygons, *self.traffic.polygons))
             yield from self._zones_changed()
 
     @on(topics.RIGHT_OF_WAY)
     def right_of_way(self, told: RightOfWay) -> Out:
         """Plans around robots that stand, and to the refuge while the robot makes way."""
         if self.traffic.update(told):
-            self.keep_out.set_temporary((*self.contact_places.polygons, *self.traffic.polygons))
+            self.present.set_temporary((*self.contact_places.polygons, *self.traffic.polygons))
             yield from self._zones_changed()
 
     @on(topics.POSE)
@@ -194,10 +188,8 @@ class PlannerService(Service):
             reach = self.config.path.goal_reach
             yield topics.LIMITS(GoalLimits(self.now, cost.margin, cost.min_margin, reach, cost.beyond))
         yield from self._publish_plan(always=True)
-        if not self.grid.empty and self.costmap_topic.is_due(self.now):
-            current = self.costmap if self.is_costmap_current else None
-            shown = current or separate_costmap(self.config.cost, self.robot, self.grid, self.keep_out)
-            yield topics.GLOBAL_COSTMAP(costmap_message(shown, self.now))
+        if not self.present.grid.empty and self.costmap_topic.is_due(self.now):
+            yield topics.GLOBAL_COSTMAP(costmap_message(self.present.shown(), self.now))
 
     @answer(requests.WATCH_GLOBAL_COSTMAP)
     def watch_costmap(self, request: Watch) -> Answer[Reply]:
@@ -210,19 +202,21 @@ class PlannerService(Service):
         before = self.monitor.plan
         self._update_plan(self.traffic.goal(self.goal))
         if self.monitor.plan is not None and (always or self.monitor.plan is not before):
-            yield topics.PLAN(plan_message(self.monitor, self.monitor.plan, self.goal, self.grid.version, self.now))
+            yield topics.PLAN(
+                plan_message(self.monitor, self.monitor.plan, self.goal, self.present.grid.version, self.now)
+            )
 
     def _update_plan(self, goal: Goal) -> None:
         """Lets the monitor keep or replace the plan."""
         pose = self.pose_tracker.map_from_base
-        if self.grid.empty:
+        if self.present.grid.empty:
             self.monitor.replace(no_plan(reasons.NO_MAP))
         elif pose is None:
             self.monitor.replace(no_plan(reasons.POSE_OLD))
-        elif self.keep_out.is_forbidden(goal.map_from_goal):
+        elif self.present.is_forbidden(goal.map_from_goal):
             self.monitor.replace(no_plan(reasons.GOAL_KEEP_OUT))
         elif not (self.monitor.drivable_plan and self.pose_tracker.is_lost):
-            costmap = self._present_costmap(pose)
+            costmap = self.present.at(pose, self.now)
             self.monitor.update(self._new_plan(costmap, pose, goal), costmap, pose, self.now)
 
     def _new_plan(self, costmap: GlobalCostmap, pose: Pose2, goal: Goal) -> GlobalPlan:
@@ -236,15 +230,3 @@ class PlannerService(Service):
             config=self.config.path,
             turning=arcs,
         )
-
-    def _present_costmap(self, pose: Pose2) -> GlobalCostmap:
-        """The costs of the present map and zones for a robot at a pose in `map`."""
-        if self.keep_out.update_pose(pose):
-            self.changed, self.is_costmap_current = None, False
-        if self.costmap is None:
-            self.costmap = GlobalCostmap(self.config.cost, self.robot, self.grid.resolution)
-            self.changed, self.is_costmap_current = None, False
-        if not self.is_costmap_current:
-            self.keep_out.update(self.costmap, self.grid, self.changed)
-            self.is_costmap_current, self.updated_at = True, self.now
-        return self.costmap

@@ -5,6 +5,7 @@ from copy import copy
 
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
+from shared.joint_map import JointMap
 from shared.messages import MapUpdate, Zones
 from shared.zones import KeepOut, laid
 
@@ -14,13 +15,18 @@ class Floor:
 
     def __init__(self, reach: float) -> None:
         """reach: circumscribed radius of the robot, m."""
-        self._map, self._keep_out = OccupancyGrid(), KeepOut(reach)
+        self._map, self._keep_out = JointMap(), KeepOut(reach)
         self._walled: OccupancyGrid | None = None
         self.version = 0
 
     def apply(self, update: MapUpdate) -> None:
         """Takes tiles of the map."""
         self._map.apply(update)
+        self._renew()
+
+    def apply_others(self, update: MapUpdate) -> None:
+        """Takes tiles of what the robots know that it explores with."""
+        self._map.apply_others(update)
         self._renew()
 
     def set_zones(self, zones: Zones) -> None:
@@ -33,8 +39,8 @@ class Floor:
         if self._keep_out.moved(pose):
             self._renew()
         if self._walled is None:
-            self._walled = copy(self._map)
-            self._walled.cells = laid(self._map, self._keep_out.holding)
+            self._walled = copy(self._map.grid)
+            self._walled.cells = laid(self._map.grid, self._keep_out.holding)
         return self._walled
 
     def _renew(self) -> None:

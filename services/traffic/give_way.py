@@ -144,7 +144,7 @@ class GivingWay:
             if self._is_over(me, others, clearances, now):
                 self.end()
             elif self._rests(now) and any(_covers(other, me, clearances) for other in self._served(others)):
-                self._move_on(refuge(grid, me, others, clearances))
+                self._move_on(refuge(grid, me, others, clearances), me, others, now)
             return
         members = circle(me.name, {robot.name: robot.waits_for for robot in (me, *others)})
         if not members:
@@ -178,10 +178,16 @@ class GivingWay:
         """The robots that it makes way for."""
         return [other for other in others if other.name in self.for_robots]
 
-    def _move_on(self, found: Pose2 | None) -> None:
-        """Takes another refuge, if there is one: a new path of a robot that it makes way for leads to this one."""
+    def _move_on(self, found: Pose2 | None, me: TrafficRobot, others: Sequence[TrafficRobot], now: int) -> None:
+        """Takes another refuge: a new path of a robot that it makes way for leads to this one.
+
+        Where there is none, and that robot waits, it makes way no more. Then another one of the circle has its turn.
+        """
         if found is not None:
             self.refuge, self._rests_since = found, 0
+        elif any(me.name in other.waits_for for other in self._served(others)):
+            self.end()
+            self.stuck, self._stuck_at = True, now
 
 
 def _covers(other: TrafficRobot, me: TrafficRobot, clearances: Clearances) -> bool:

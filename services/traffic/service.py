@@ -38,8 +38,7 @@ ALONE_FROM = 12  # ticks after the start, longer than a lease, at which the robo
 SAME_GOAL_M = 0.1  # between two goals of one task
 TASK_GAP_NS = 15 * NS_PER_S
 """ns without a goal after which a goal at the same place is a new task: recoveries and pauses are shorter."""
-MAX_POSE_AGE_NS = NS_PER_S
-"""ns after which a pose says nothing of the speed: the robot stands on old inputs."""
+MAX_POSE_AGE_NS = NS_PER_S  # after which a pose says nothing of the speed: the robot stands on old inputs
 SPEED_SETTLING = 0.4  # share of the newest step in the speed
 
 
@@ -78,6 +77,11 @@ class TrafficService(Service):
     @on(topics.MAP)
     def map(self, update: MapUpdate) -> Out:
         self.floor.apply(update)
+        return ()
+
+    @on(topics.OTHERS_MAP)
+    def others_map(self, update: MapUpdate) -> Out:
+        self.floor.apply_others(update)
         return ()
 
     @on(topics.ZONES)

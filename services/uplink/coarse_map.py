@@ -5,7 +5,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from shared.grid import FREE_UP_TO, OCCUPIED_FROM, UNKNOWN
+from shared.grid import UNKNOWN, coarse_levels
 from shared.messages import TILE_CELLS, MapUpdate
 from shared.types import Int8s
 
@@ -13,7 +13,6 @@ FACTOR = 4
 MAX_RESOLUTION_M = 1.0  # of MapUpdate
 MAX_TILES = 16
 """tiles of one message: 64 KiB before Zenoh compresses them."""
-UNCERTAIN = 50  # percent: neither free nor occupied
 Tile = tuple[int, int]
 """Row and column."""
 
@@ -51,7 +50,7 @@ class CoarseMap:
             place = row // factor, column // factor
             tile = self._tiles.setdefault(place, np.full((TILE_CELLS, TILE_CELLS), UNKNOWN, np.int8))
             r, c = row % factor * n, column % factor * n
-            coarse = coarse_cells(cells.reshape(TILE_CELLS, TILE_CELLS), factor)
+            coarse = coarse_levels(cells.reshape(TILE_CELLS, TILE_CELLS), factor)
             if not np.array_equal(tile[r : r + n, c : c + n], coarse):
                 tile[r : r + n, c : c + n] = coarse
                 self._behind[place] = None
@@ -91,17 +90,3 @@ class CoarseMap:
 def factor_of(resolution: float) -> int:
     """How many cells of `resolution` m become one along each axis."""
     return FACTOR if resolution * FACTOR <= MAX_RESOLUTION_M else 1
-
-
-def coarse_cells(cells: Int8s, factor: int) -> Int8s:
-    """(h/factor, w/factor) int8 of cells (h, w): the most occupied of each square, as -1, 0, 50 or 100 percent.
-
-    A square with an obstacle is occupied, however small that is.
-    """
-    h, w = cells.shape
-    most = cells.reshape(h // factor, factor, w // factor, factor).max(axis=(1, 3))
-    levels = np.full(most.shape, UNCERTAIN, np.int8)
-    levels[most <= FREE_UP_TO] = 0
-    levels[most < 0] = UNKNOWN
-    levels[most >= OCCUPIED_FROM] = 100
-    return levels

@@ -467,10 +467,21 @@ export interface ExplorationShare {
   readonly frontier_costs: Float32Array;
   readonly claimed: number;
   /** m */
+  readonly closed_xs: Float32Array;
+  /** m */
+  readonly closed_ys: Float32Array;
+  /** m */
+  readonly seen_xs: Float32Array;
+  /** m */
+  readonly seen_ys: Float32Array;
+  /** m */
   readonly cell: number;
   readonly first_row: number;
   readonly first_column: number;
-  readonly known: Grid<Int8Array>;
+  readonly rows: number;
+  readonly columns: number;
+  /** zlib */
+  readonly cells: Uint8Array;
 }
 
 /** STOP, latched: it holds until an operator releases it; releasing never moves the robot. */
@@ -744,6 +755,7 @@ export interface MessageOf {
   "nav/task": NavTask;
   "explore/share": ExplorationShare;
   "explore/others": ExplorationShare;
+  "explore/map": MapUpdate;
   "cmd/nav": Velocity;
   "cmd/teleop": Velocity;
   "estop": EmergencyStop;
@@ -783,8 +795,9 @@ export const ARRAYS: { readonly [K in Key]?: Readonly<Record<string, string>> } 
   "map/state": { "edits[].xs": "f8", "edits[].ys": "f8" },
   "zones": { "zones[].xs": "f8", "zones[].ys": "f8" },
   "plan": { "xs": "f8", "ys": "f8", "yaws": "f8" },
-  "explore/share": { "frontier_xs": "f4", "frontier_ys": "f4", "frontier_costs": "f4", "known": "i1 2" },
-  "explore/others": { "frontier_xs": "f4", "frontier_ys": "f4", "frontier_costs": "f4", "known": "i1 2" },
+  "explore/share": { "frontier_xs": "f4", "frontier_ys": "f4", "frontier_costs": "f4", "closed_xs": "f4", "closed_ys": "f4", "seen_xs": "f4", "seen_ys": "f4" },
+  "explore/others": { "frontier_xs": "f4", "frontier_ys": "f4", "frontier_costs": "f4", "closed_xs": "f4", "closed_ys": "f4", "seen_xs": "f4", "seen_ys": "f4" },
+  "explore/map": { "rows": "i4", "columns": "i4", "cells": "i1 2" },
   "debug/costmap": { "cells": "i1 2" },
   "debug/rollouts": { "xs": "f4 2", "ys": "f4 2", "costs": "f4" },
   "debug/moving_obstacles": { "xs": "f4", "ys": "f4", "vxs": "f4", "vys": "f4", "radii": "f4" },
@@ -826,7 +839,7 @@ export const FIELDS: Readonly<Record<string, Readonly<Record<string, string>>>> 
   FollowStatus: { stamp: "number", goal_id: "number", state: "enum FollowState", reason: "string", distance_left: "number" },
   NavStatus: { stamp: "number", task_id: "number", state: "enum NavState", recovery: "string", reason: "string", detail: "string", goal: "pose", distance_left: "number", time_left: "number", waypoint: "number", n_waypoints: "number", n_recoveries: "number", round: "number", n_rounds: "number" },
   NavTask: { stamp: "number", task_id: "number", kind: "enum TaskKind", age: "number", map_id: "number", paused: "boolean", poses: "list of pose", dwells: "list of number", loops: "number", any_heading: "boolean", tolerance: "number", yaw_tolerance: "number", waypoint: "number", round: "number", dwelling: "boolean", dwell: "number", pass_through: "boolean" },
-  ExplorationShare: { stamp: "number", robot: "string", session: "number", sequence: "number", task_id: "number", others: "list of string", active: "boolean", common_from_map: "pose", x: "number", y: "number", frontier_xs: "array f4 1", frontier_ys: "array f4 1", frontier_costs: "array f4 1", claimed: "number", cell: "number", first_row: "number", first_column: "number", known: "array i1 2" },
+  ExplorationShare: { stamp: "number", robot: "string", session: "number", sequence: "number", task_id: "number", others: "list of string", active: "boolean", common_from_map: "pose", x: "number", y: "number", frontier_xs: "array f4 1", frontier_ys: "array f4 1", frontier_costs: "array f4 1", claimed: "number", closed_xs: "array f4 1", closed_ys: "array f4 1", seen_xs: "array f4 1", seen_ys: "array f4 1", cell: "number", first_row: "number", first_column: "number", rows: "number", columns: "number", cells: "bytes" },
   EmergencyStop: { stamp: "number", pressed: "boolean", by: "string" },
   Costmap: { stamp: "number", x: "number", y: "number", resolution: "number", cells: "array i1 2" },
   Rollouts: { stamp: "number", xs: "array f4 2", ys: "array f4 2", costs: "array f4 1" },

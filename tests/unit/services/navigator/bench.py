@@ -11,6 +11,7 @@ from services.navigator.service import NavigatorService
 from shared import topics
 from shared.config import load_robot
 from shared.geometry import Pose2
+from shared.grid import OccupancyGrid
 from shared.messages import (
     ExplorationShare,
     FollowState,
@@ -47,6 +48,7 @@ class NavigatorBench:
         self.statuses: list[NavStatus] = []
         self.tasks: list[NavTask] = []
         self.shares: list[ExplorationShare] = []
+        self.others_map = OccupancyGrid()  # as planner and traffic have it
         self.jobs: list[tuple[int, Job]] = []
         self.refusal = ""  # the planner's
         self.follow_state: FollowState | None = None  # instead of what it would be
@@ -87,6 +89,8 @@ class NavigatorBench:
                 self.tasks.append(effect.message)
             elif effect.topic is topics.SHARE:
                 self.shares.append(effect.message)
+            elif effect.topic is topics.OTHERS_MAP:
+                self.others_map.apply(effect.message)
             else:
                 self.statuses.append(effect.message)
 

@@ -292,7 +292,7 @@ def frontier_at(x, y, distance, size=1.0):
 def found(*frontiers, unreachable=()):
     places = np.array([(f.x, f.y) for f in frontiers]).reshape(-1, 2)
     between = np.hypot(*(places[:, None] - places).transpose(2, 0, 1))
-    return Frontiers(frontiers, unreachable, False, between, np.empty((0, 2), np.int64))
+    return Frontiers(frontiers, unreachable, False, between)
 
 
 HERE = Pose2()

@@ -5,10 +5,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import array_shapes, arrays
-from scipy.ndimage import binary_dilation
 
-from services.navigator.frontiers import FrontierConfig, Snapshot, dilated, find_frontiers
+from services.navigator.frontiers import FrontierConfig, Snapshot, find_frontiers
 from tests.unit.services.maps import drawn
 
 RADIUS = 0.2
@@ -196,8 +194,3 @@ def test_goals_are_reachable_and_cells_border_on_the_unknown(seed):
         around = padded[r, c + 1], padded[r + 2, c + 1], padded[r + 1, c], padded[r + 1, c + 2]
         if has_room(cells, r, c) and -1 in around:
             assert (r, c) in mine
-
-
-@given(arrays(np.bool_, array_shapes(min_dims=2, max_dims=2, max_side=9)))
-def test_cells_grow_by_their_four_neighbours_as_in_scipy(cells):
-    assert (dilated(cells) == binary_dilation(cells)).all()

@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.navigator.exploration import Exploration, ExplorationConfig
-from services.navigator.frontiers import Frontier, FrontierConfig, Frontiers, Snapshot, find_frontiers
-from services.navigator.known_area import KnownArea, known_blocks, known_elsewhere
+from services.navigator.frontiers import Frontier, FrontierConfig, Frontiers, find_frontiers
 from services.navigator.shared_exploration import SharedExploration, SharingConfig, deal, subset
 from shared import reasons
 from shared.geometry import Pose2
@@ -22,7 +21,6 @@ from tests.unit.services.navigator.bench import OK, NavigatorBench, S, stopped
 from tests.unit.services.navigator.test_exploring import ENDS, OFFICE, Explorer
 
 CONFIG = SharingConfig()
-NOTHING = np.empty((0, 2), np.int64)
 LEASE = round(CONFIG.lease * S)
 places = st.lists(st.tuples(st.floats(-20, 20), st.floats(-20, 20)), max_size=8)
 poses = st.builds(Pose2, st.floats(-9, 9), st.floats(-9, 9), st.floats(-3, 3))
@@ -32,7 +30,7 @@ def frontiers(*rows):
     """From x, y and m to drive."""
     cells = np.zeros((1, 2), np.int64)
     made = tuple(Frontier(x, y, 0.0, 1.0, distance, cells) for x, y, distance in rows)
-    return Frontiers(made, (), False, np.ones((len(made), len(made))), NOTHING)
+    return Frontiers(made, (), False, np.ones((len(made), len(made))))
 
 
 def share_of(name, x, y, rows, claimed=-1, sequence=1, **fields):
@@ -130,29 +128,45 @@ def test_a_robot_that_was_silent_for_its_lease_is_heard_again_also_where_its_clo
     assert own(sharing, found, now=S + LEASE + 2) == [(1.0, 0.0), (9.0, 0.0)]
 
 
-def test_a_frontier_that_another_robot_may_not_know_is_left_to_it_only_while_there_are_others():
-    """Blue stands beside it, but does not list it: then each robot would leave it to the other."""
+def test_a_robot_without_frontiers_takes_what_two_robots_left_to_each_other():
+    """Blue is nearer to the frontier and drives nowhere. After blue drives to one, red leaves them to it."""
+    sharing, found = SharedExploration(CONFIG, "red", ("blue",), Pose2()), frontiers((9.0, 0.0, 9.0))
+    sharing.take(share_of("blue", 10.0, 0.0, [(9.0, 0.0, 1.0)]), S)
+    assert own(sharing, found) == [(9.0, 0.0)]
+    sharing.take(share_of("blue", 10.0, 0.0, [(9.0, 0.0, 1.0)], claimed=0, sequence=2), S)
+    assert own(sharing, found) == []
+
+
+def test_a_frontier_that_no_other_robot_lists_is_the_own_one():
     sharing = SharedExploration(CONFIG, "red", ("blue",), Pose2())
-    sharing.take(share_of("blue", 10.0, 0.0, []), S)
-    assert own(sharing, frontiers((1.0, 0.0, 1.0), (9.0, 0.0, 9.0))) == [(1.0, 0.0)]
-    assert own(sharing, frontiers((9.0, 0.0, 9.0))) == [(9.0, 0.0)]
+    sharing.take(share_of("blue", 10.0, 0.0, [(20.0, 0.0, 10.0)], claimed=0), S)
+    assert own(sharing, frontiers((1.0, 0.0, 1.0), (9.0, 0.0, 9.0))) == [(1.0, 0.0), (9.0, 0.0)]
 
 
-@given(poses, st.integers(0, 2**32))
-def test_the_known_area_covers_what_brute_force_says(area_from_map, seed):
-    rng = np.random.default_rng(seed)
-    area = KnownArea(area_from_map, 0.4, -3, 5, rng.integers(0, 2, (6, 7)).astype(np.int8))
-    wanted = rng.random((9, 8)) < 0.7
-    covered = known_elsewhere(wanted, -4, 2, 0.3, (area,))
-    for row, column in np.ndindex(wanted.shape):
-        point = area_from_map @ Pose2((column + 2 + 0.5) * 0.3, (row - 4 + 0.5) * 0.3)
-        r, c = int(np.floor(point.y / 0.4)) + 3, int(np.floor(point.x / 0.4)) - 5
-        inside = 0 <= r < 6 and 0 <= c < 7
-        assert covered[row, column] == bool(wanted[row, column] and inside and area.known[r, c])
+class Room:
+    """A map as red has it, and what it searches while blue knows another one."""
+
+    def __init__(self, cells):
+        self.grid = OccupancyGrid()
+        self.grid.apply(message(cells))
+        self.exploration = Exploration(ExplorationConfig(), SharedExploration(CONFIG, "red", ("blue",), Pose2()))
+
+    def hear(self, cells, exploration=None, now=S):
+        """Blue has this map, and explores so."""
+        grid = OccupancyGrid()
+        grid.apply(message(cells))
+        sharing = exploration.sharing if exploration else SharedExploration(CONFIG, "blue", ("red",), Pose2())
+        self.exploration.sharing.take(replace(sharing.message(Pose2(), None, grid, True, 1, now), robot="blue"), S)
+        self.exploration.sharing.map_update(0.05, S)
+
+    def found(self):
+        known = self.exploration.known_map(self.grid)
+        snapshot = self.exploration.snapshot(known, known.cells, Pose2(1.0, 1.0), 0.2, S)
+        return find_frontiers(snapshot, FrontierConfig())
 
 
 @pytest.mark.parametrize("beside", [-1, FREE_UP_TO + 1])  # unknown, or seen once and uncertain
-def test_there_is_no_frontier_towards_what_another_robot_knows(beside):
+def test_there_is_no_frontier_towards_what_another_robot_knows_and_its_frontiers_are_the_own_ones(beside):
     cells = drawn(
         """
         ####################
@@ -163,15 +177,16 @@ def test_there_is_no_frontier_towards_what_another_robot_knows(beside):
         """,
         8,
     )
-    mine = cells.copy()
+    mine, theirs = cells.copy(), np.full(cells.shape, -1, np.int8)
     mine[:, 6 * 8 :] = -1
     mine[8:-8, 6 * 8] = beside
-    snapshot = Snapshot(mine, 0, 0, 0.05, 1.0, 1.0, 0.2, np.zeros((0, 2), np.int64))
-    assert find_frontiers(snapshot, FrontierConfig()).frontiers
-    theirs = np.full(cells.shape, -1, np.int8)
-    theirs[:, 5 * 8 :] = 0
-    area = KnownArea(Pose2(), 0.4, 0, 0, known_blocks(theirs, NOTHING))
-    assert not find_frontiers(replace(snapshot, areas=(area,)), FrontierConfig()).frontiers
+    theirs[:, 5 * 8 :] = np.where(cells[:, 5 * 8 :] < 0, np.int8(0), cells[:, 5 * 8 :])
+    theirs[8:-8, 18 * 8 :] = -1
+    red = Room(mine)
+    assert {f.x < 6 * 0.4 for f in red.found().frontiers} == {True}
+    red.hear(theirs)
+    assert {f.x > 16 * 0.4 for f in red.found().frontiers} == {True}
+    assert max(f.distance for f in red.found().frontiers) > 5.5, "it drives through what only blue knows"
 
 
 ROOM_AND_DOOR = drawn(
@@ -189,30 +204,48 @@ ROOM_AND_DOOR = drawn(
 
 def test_robots_that_know_no_more_than_each_other_do_not_hide_a_frontier_from_each_other():
     """Both see a door from the same side. What lies beyond it is known where one of them has been there."""
-    snapshot = Snapshot(ROOM_AND_DOOR, 0, 0, 0.05, 1.0, 1.5, 0.2, np.zeros((0, 2), np.int64))
-    found = find_frontiers(snapshot, FrontierConfig())
-    assert len(found.frontiers) == 1
-    area = KnownArea(Pose2(), 0.4, 0, 0, known_blocks(ROOM_AND_DOOR, found.border))
-    both = find_frontiers(replace(snapshot, areas=(area,)), FrontierConfig())
-    assert [f.cells.tolist() for f in both.frontiers] == [f.cells.tolist() for f in found.frontiers]
-    assert area.known[3, 2], "inside the room it is known"
-    beyond = np.where(np.arange(ROOM_AND_DOOR.shape[1]) >= 115, np.int8(0), ROOM_AND_DOOR)
-    has_been_there = KnownArea(Pose2(), 0.4, 0, 0, known_blocks(beyond, NOTHING))
-    assert not find_frontiers(replace(snapshot, areas=(has_been_there,)), FrontierConfig()).frontiers
+    red = Room(ROOM_AND_DOOR)
+    alone = [f.cells.tolist() for f in red.found().frontiers]
+    assert len(alone) == 1
+    red.hear(ROOM_AND_DOOR)
+    assert [f.cells.tolist() for f in red.found().frontiers] == alone
+    beyond = np.where(np.arange(ROOM_AND_DOOR.shape[1]) >= 110, np.int8(0), ROOM_AND_DOOR)
+    beyond[:, 111:] = np.where(np.arange(160)[:59] > 40, np.int8(100), beyond[:, 111:])
+    beyond[[0, -1], 110:] = 100
+    other = Room(ROOM_AND_DOOR)
+    other.hear(beyond)
+    assert not other.found().frontiers
 
 
 def test_a_border_that_one_robot_looked_at_in_vain_is_no_frontier_of_the_others():
-    grid = OccupancyGrid()
-    grid.apply(message(ROOM_AND_DOOR))
-    snapshot = Snapshot(grid.cells, 0, 0, 0.05, 1.0, 1.5, 0.2, np.zeros((0, 2), np.int64))
-    sharing = SharedExploration(CONFIG, "red", ("blue",), Pose2())
-    sharing.found = found = find_frontiers(snapshot, FrontierConfig())
-    for looked, n in ((False, 1), (True, 0)):
-        if looked:
-            sharing.looked_at.update((row, column) for row, column in found.border.tolist())
-        share = sharing.message(Pose2(1.0, 1.5), None, grid, True, 1, (1 + looked) * S)
-        area = KnownArea(Pose2(), share.cell, share.first_row, share.first_column, share.known)
-        assert len(find_frontiers(replace(snapshot, areas=(area,)), FrontierConfig()).frontiers) == n
+    blue, red = Room(ROOM_AND_DOOR), Room(ROOM_AND_DOOR)
+    red.hear(ROOM_AND_DOOR, blue.exploration)
+    assert len(red.found().frontiers) == 1
+    found, pose = blue.found(), Pose2(5.0, 1.5)
+    blue.exploration.choose_target(found, pose, 0.05)
+    blue.exploration.arrived()
+    blue.exploration.passed(10.0, pose)
+    assert blue.exploration.choose_target(found, pose, 0.05) is None
+    again = Room(ROOM_AND_DOOR)
+    again.hear(ROOM_AND_DOOR, blue.exploration, now=2 * S)
+    assert not again.found().frontiers
+    assert len(Room(ROOM_AND_DOOR).found().frontiers) == 1
+
+
+def test_a_small_frontier_that_vanished_while_the_robot_was_near_is_no_frontier_again():
+    """Cells at the edge of a view change between known and uncertain."""
+    small, none = frontiers((1.0, 0.0, 1.0)), frontiers()
+    small = replace(small, frontiers=(replace(small.frontiers[0], size=0.6),))
+    for seen_from, chosen in ((2.0, False), (9.0, True)):
+        exploration = Exploration(ExplorationConfig())
+        assert exploration.choose_target(small, Pose2(), 0.05) is not None
+        assert exploration.choose_target(none, Pose2(seen_from, 0.0), 0.05) is None
+        assert (exploration.choose_target(small, Pose2(), 0.05) is not None) is chosen
+    large = replace(small, frontiers=(replace(small.frontiers[0], size=1.5),))
+    exploration = Exploration(ExplorationConfig())
+    exploration.choose_target(large, Pose2(), 0.05)
+    exploration.choose_target(none, Pose2(), 0.05)
+    assert exploration.choose_target(large, Pose2(), 0.05) is not None
 
 
 def test_a_subset_keeps_the_distances_between_its_frontiers():
@@ -333,44 +366,47 @@ def test_a_restarted_navigator_goes_on_exploring_with_the_same_robots():
     assert share.session > before.shares[-1].session, "the others take its messages although it counts from 1"
 
 
-def test_a_robot_without_frontiers_drives_towards_one_that_no_robot_has_begun():
+def test_a_robot_waits_while_others_drive_to_all_frontiers_and_goes_on_when_one_is_left_to_it():
     sharing = SharedExploration(CONFIG, "red", ("blue",), Pose2())
-    known = {"cell": 0.4, "known": np.ones((2, 2), np.int8)}
-    sharing.take(share_of("blue", 10.0, 0.0, [(9.0, 0.0, 1.0), (5.0, 5.0, 8.0)], claimed=0, **known), S)
-    borders = frontiers((0.0, -5.0, 2.0), (0.0, 5.0, 2.5))  # of what blue knows
-    assert sharing.areas(S)
-    assert sharing.waits(True, S)
-    assert not sharing.areas(S), "it drives through what only blue knows"
-    assert own(sharing, borders) == [(0.0, 5.0)]
-    assert own(sharing, borders, target=(0.0, 5.0)) == [(0.0, 5.0)]
-    assert not sharing.is_done
-
-
-def test_what_was_searched_to_help_is_not_taken_for_own_frontiers():
-    """It arrives while a search is under way, which left out what the other knows."""
-    exploration = Exploration(ExplorationConfig(), SharedExploration(CONFIG, "red", ("blue",), Pose2()))
-    sharing = exploration.sharing
-    sharing.take(share_of("blue", 10.0, 0.0, [(9.0, 0.0, 1.0), (5.0, 5.0, 8.0)], claimed=0), S)
-    borders = frontiers((0.0, -5.0, 2.0), (0.0, 5.0, 2.5))
-    assert sharing.waits(True, S)
-    assert not sharing.areas(S)
-    assert len(exploration.own_part(borders, S).frontiers) == 1
-    exploration.arrived()
-    assert exploration.own_part(borders, S) is None
-    sharing.areas(S)
-    assert exploration.own_part(borders, S) is not None
-
-
-def test_a_robot_is_done_while_every_frontier_is_begun_and_helps_when_another_is_found():
-    sharing = SharedExploration(CONFIG, "red", ("blue",), Pose2())
-    borders = frontiers((0.0, -5.0, 2.0), (0.0, 5.0, 2.5))
+    found = frontiers((9.0, 0.0, 9.0))
     sharing.take(share_of("blue", 10.0, 0.0, [(9.0, 0.0, 1.0)], claimed=0), S)
-    for _ in range(4):
-        assert sharing.waits(True, S)
-        assert own(sharing, borders if sharing.helps else frontiers()) == []
+    assert own(sharing, found) == []
+    assert sharing.waits(False, S)
+    assert not sharing.is_done, "not for long enough"
+    assert sharing.waits(True, S)
     assert sharing.is_done
-    sharing.take(share_of("blue", 10.0, 0.0, [(9.0, 0.0, 1.0), (5.0, 5.0, 8.0)], claimed=0, sequence=2), S)
-    while not sharing.helps:
-        sharing.waits(True, S)
-    assert own(sharing, borders) == [(0.0, 5.0)]
+    assert own(sharing, frontiers((9.0, 0.0, 9.0), (0.0, 5.0, 2.5))) == [(0.0, 5.0)]
     assert not sharing.is_done
+    sharing.take(share_of("blue", 10.0, 0.0, [], sequence=2, active=False), S)
+    sharing.begin_search(S)
+    assert not sharing.waits(True, S)
+
+
+def blue_with_a_map():
+    grid = OccupancyGrid()
+    grid.apply(message(drawn("...\n...\n###", 20)))
+    return SharedExploration(CONFIG, "blue", ("red",), Pose2()).message(Pose2(), None, grid, True, 1, S)
+
+
+def test_planner_and_traffic_hear_what_the_others_know_until_the_exploration_has_ended():
+    robot = NavigatorBench(name="red")
+    robot.call("map", message(ROOM_AND_DOOR))
+    robot.pose = Pose2(2.0, 1.5)
+    robot.explore("blue")
+    robot.call("other_explorer", blue_with_a_map())
+    robot.run(0.5)
+    known = robot.others_map
+    assert (known.cells[0, 0], known.cells[30, 30], known.cells[60, 60]) == (100, 0, -1)
+    robot.cancel()
+    robot.run(0.5)
+    assert known.empty
+
+
+def test_a_navigator_that_does_not_go_on_after_its_restart_says_that_the_others_know_nothing():
+    robot = NavigatorBench(name="red")
+    robot.run(1)
+    assert robot.others_map.map_id == 0, "without an exploration with others it says nothing"
+    robot.call("share_before_the_restart", blue_with_a_map())
+    robot.run(1)
+    assert robot.others_map.map_id != 0
+    assert robot.others_map.empty

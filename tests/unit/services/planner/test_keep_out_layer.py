@@ -93,11 +93,11 @@ def test_on_another_map_of_the_same_size_the_zones_hold_too():
     bench = PlannerBench(room(4, 8))
     hold(bench, deep)
     bench.go(Pose2(7.0, 1.0))
-    before = bench.planner.costmap.costs.copy()
+    before = bench.planner.present.costmap.costs.copy()
     bench.planner.now += 10**9
     bench.take(bench.planner.map(message(room(4, 8), version=1, map_id=2)))
     bench.take(bench.planner.confirm())
-    assert np.array_equal(bench.planner.costmap.costs, before)
+    assert np.array_equal(bench.planner.present.costmap.costs, before)
 
 
 def test_beyond_the_map_a_zone_holds_too():
@@ -128,4 +128,4 @@ def test_following_a_changing_map_under_zones_is_the_same_as_planning_from_the_s
     fresh = PlannerBench(cells, pose=Pose2(1.0, 5.0))
     hold(fresh, MIDDLE)
     fresh.go(Pose2(7.0, 1.0))
-    assert np.array_equal(bench.planner.costmap.costs, fresh.planner.costmap.costs)
+    assert np.array_equal(bench.planner.present.costmap.costs, fresh.planner.present.costmap.costs)

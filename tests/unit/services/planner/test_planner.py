@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import subprocess
 import sys
+from dataclasses import replace
 from itertools import pairwise, product
 
 import numpy as np
@@ -259,12 +260,30 @@ def test_another_map_is_planned_on_from_scratch():
     assert path.reason == reasons.UNREACHABLE.code  # the goal lies outside of the smaller room now
 
 
+def test_a_path_leads_through_what_other_robots_know_and_around_their_walls():
+    """The own map ends at the door. Behind it another robot knows a wall with a gap to the right."""
+    whole = room(4, 8)
+    whole[:60, 80:84] = 100
+    mine = whole.copy()
+    mine[:, 70:] = -1
+    bench = PlannerBench(mine)
+    (straight,) = bench.go(Pose2(6.0, 2.0))
+    bench.planner.now += S
+    (around,) = bench.take(bench.planner.others_map(message(whole, map_id=9)))
+    assert straight.ys.max() < 2.5
+    assert around.ys.max() > 3.2
+    bench.planner.now += S
+    nothing = replace(message(whole, map_id=10).only(np.zeros(0, int)), version=1)
+    (again,) = bench.take(bench.planner.others_map(nothing))
+    assert again.ys.max() < 2.5, "the others have left"
+
+
 @pytest.mark.parametrize("robot", ["x80sv", "jackal"])
 def test_warming_up_changes_no_state(robot):
     planner = PlannerService(PlannerConfig(), load_robot(robot).robot)
     planner.warm_up()
-    assert planner.grid.empty
-    assert planner.goal is planner.monitor.plan is planner.costmap is None
+    assert planner.present.grid.empty
+    assert planner.goal is planner.monitor.plan is planner.present.costmap is None
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))

@@ -10,7 +10,7 @@ from shared import sample_messages as sample
 from shared import topics
 from shared.config import load_robot
 from shared.geometry import Pose2
-from shared.grid import update_of_cells
+from shared.grid import OccupancyGrid, update_of_cells
 from shared.messages import MapState, Path, Zone, ZoneKind, Zones
 from shared.polygon import contains
 from shared.zones import polygon_of
@@ -78,3 +78,18 @@ def test_a_zone_that_comes_or_goes_counts_at_once():
     assert red.run(2)[1].widths.max() < 1.4
     red.call("zones", 3 * S, Zones(3 * S, ()))
     assert red.run(3)[1].widths.min() > 6.0
+
+
+def test_a_way_is_as_wide_as_the_map_of_the_others_shows_where_the_own_one_is_unknown():
+    red = Red()
+    half = OccupancyGrid()
+    half.apply(update_of_cells(np.zeros((192, 192), np.int8), 0.05, -3.2, -3.2))
+    half.cells[:, 128:] = -1  # the own map ends at x = 3.2
+    red.call("map", S, half.update_of(half.cells < 0, S))
+    assert red.run(1)[1].widths[-1] == 0.0
+    theirs = np.zeros((192, 192), np.int8)
+    theirs[:70] = theirs[126:] = 100  # a corridor of 2.8 m
+    red.call("others_map", 2 * S, update_of_cells(theirs, 0.05, -3.2, -3.2))
+    widths = red.run(2)[1].widths
+    assert widths[-1] == pytest.approx(2.8, abs=0.11)
+    assert widths[0] > 6.0, "where the own map is sure it counts"

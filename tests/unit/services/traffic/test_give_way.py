@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from services.traffic.conflicts import Clearances, TrafficRobot, order_of, reach_of
-from services.traffic.give_way import CIRCLE_NS, MIN_REST_NS, SLACK_M, GivingWay, refuge
+from services.traffic.give_way import CIRCLE_NS, MIN_REST_NS, SLACK_M, STUCK_NS, GivingWay, refuge
 from shared import sample_messages as sample
+from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
 from shared.messages import TILE_CELLS
 
@@ -67,3 +68,20 @@ def test_a_robot_whose_refuge_is_on_a_new_path_of_the_other_takes_another_refuge
     assert giving.refuge != first
     apart = np.hypot(through.path[:, 0] - giving.refuge.x, through.path[:, 1] - giving.refuge.y).min()
     assert apart >= reach_of(resting, through, CLEARANCES) + SLACK_M
+
+
+def test_a_robot_that_is_in_the_way_at_its_refuge_and_cannot_leave_it_lets_another_one_make_way(giving):
+    """Its refuge is the end of a corridor, and blue comes into that."""
+    cells = np.full((TILE_CELLS, TILE_CELLS), 100, np.int8)
+    cells[:14] = 0
+    corridor = OccupancyGrid()
+    corridor.apply(sample.map_update(0, cells))
+    end = robot("red", 0.35, 0.35, since=2)
+    into = robot("blue", 0.8, 0.35, [(0.6, 0.35), (1.6, 1.6)], held=1, waits_for=("red",))
+    giving.refuge = Pose2(0.35, 0.35)
+    for now in (5 * S, 5 * S + MIN_REST_NS):
+        giving.update(end, [into], corridor, CLEARANCES, now)
+    assert giving.refuge is None
+    assert giving.stuck
+    giving.update(end, [into], corridor, CLEARANCES, 5 * S + MIN_REST_NS + STUCK_NS)
+    assert not giving.stuck

@@ -6,13 +6,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.uplink.coarse_map import FACTOR, MAX_TILES, CoarseMap, coarse_cells
+from services.uplink.coarse_map import FACTOR, MAX_TILES, CoarseMap
 from services.uplink.crossing_forms import MAX_BEAMS, MAX_PLAN_POSES, thinned_plan, thinned_scan
 from services.uplink.outgoing import BURST_S, OVERHEAD_BYTES, RATE_LIMITS, Level, Outgoing
 from shared import topics
 from shared.codec import Envelope, decode, encode
 from shared.crossing import OUTWARD_KEYS
 from shared.geometry import Pose2
+from shared.grid import coarse_levels
 from shared.messages import (
     TILE_CELLS,
     GuardState,
@@ -173,7 +174,7 @@ def test_the_site_ends_with_the_coarse_cells_of_the_whole_map_in_any_order_of_ch
     for (row, column), cells in fine.items():
         tile = site.get((row // FACTOR, column // FACTOR), np.full(TILE_CELLS**2, -1, np.int8)).reshape(TILE_CELLS, -1)
         r, c = row % FACTOR * n, column % FACTOR * n
-        expected = coarse_cells(cells.reshape(TILE_CELLS, TILE_CELLS), FACTOR)
+        expected = coarse_levels(cells.reshape(TILE_CELLS, TILE_CELLS), FACTOR)
         np.testing.assert_array_equal(tile[r : r + n, c : c + n], expected)
 
 
@@ -197,7 +198,7 @@ def test_unchanged_tiles_do_not_go_again_unless_a_reader_begins_and_another_map_
 @settings(max_examples=20)
 def test_a_coarse_cell_is_occupied_exactly_if_one_of_its_cells_is(seed):
     cells = np.random.default_rng(seed).integers(-1, 101, (8, 8)).astype(np.int8)
-    for (row, column), level in np.ndenumerate(coarse_cells(cells, 4)):
+    for (row, column), level in np.ndenumerate(coarse_levels(cells, 4)):
         square = cells[4 * row : 4 * row + 4, 4 * column : 4 * column + 4]
         assert (level == 100) == (square >= 65).any()
         assert (level == -1) == (square < 0).all()
