@@ -56,7 +56,7 @@ class LocalTraffic:
             return inf
         if not len(told.xs):
             return 0.0
-        points = odom_from_map @ np.column_stack((told.xs, told.ys)).astype(float)
+        points = odom_from_map @ _with_way_to_path(np.column_stack((told.xs, told.ys)).astype(float))
         apart = np.hypot(path[:, None, 0] - points[:, 0], path[:, None, 1] - points[:, 1]).min(axis=1)
         beyond = np.flatnonzero(apart > CLEARED_M)
         return max(SPACING * float(beyond[0]) - CLEARED_M, 0.0) if len(beyond) else inf
@@ -91,6 +91,16 @@ class LocalTraffic:
         places[:, :, 2] = others.radii
         moves = np.hypot(*(places[-1, :, :2] - places[0, :, :2]).T) > MOVES_M
         return np.ascontiguousarray(places[:, moves])
+
+
+def _with_way_to_path(points: Float64s) -> Float64s:
+    """The cleared points (n, 2), and those between the robot, the first one, and its path.
+
+    A robot that brakes for a new path stops up to half a metre beside its begin.
+    """
+    n = int(hypot(*(points[1] - points[0])) / CLEARED_M) if len(points) > 1 else 0
+    shares = np.arange(1, n + 1)[:, None] / (n + 1)
+    return np.concatenate((points[:1], points[:1] + shares * (points[1:2] - points[:1]), points[1:]))
 
 
 def without_robots(discs: Float64s, robots: Float64s) -> Float64s:

@@ -59,6 +59,7 @@ class Reservation:
         self.number = 0  # of the newest claim
         self.waits_for: tuple[str, ...] = ()
         self.deaf: tuple[str, ...] = ()  # robots that do not answer
+        self._unanswered: set[str] = set()  # robots whose answer is missing
         self._path_claim = _Claim(0, 0, 0)
         self._claims: list[_Claim] = []
 
@@ -125,7 +126,7 @@ class Reservation:
         """Takes the next piece of the path, as far as the others allow it. now: ns."""
         me = self.told(x, y, order)
         n = len(me.path)
-        self.waits_for, self.deaf = (), ()
+        self.waits_for, self.deaf, self._unanswered = (), (), set()
         if not n:
             self.held_end = self.wanted_end = self.at
             return
@@ -174,7 +175,12 @@ class Reservation:
         if missing and not 0 <= now - claim.at < DEAF_NS:
             self.deaf = tuple(dict.fromkeys((*self.deaf, *missing)))
             return True
+        self._unanswered.update(missing)
         return not missing
+
+    def is_answered_by(self, robot: str, heard: dict[str, int]) -> bool:
+        """Whether a robot's message has the answer to the newest claim, and that was missing. heard: by that robot."""
+        return robot in self._unanswered and heard.get(self.name, -1) >= self.number
 
 
 def _hindered(me: TrafficRobot, other: TrafficRobot, pair: Exclusions) -> Bools:

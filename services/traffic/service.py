@@ -10,6 +10,7 @@ from services.traffic.config import TrafficConfig
 from services.traffic.conflicts import Clearances, order_of
 from services.traffic.floor import Floor
 from services.traffic.give_way import GivingWay
+from services.traffic.measured_speed import MeasuredSpeed
 from services.traffic.neighbours import Neighbours
 from services.traffic.outgoing import intent, no_other_robot, other_robots, right_of_way
 from services.traffic.passages import passage_widths, points_from_end
@@ -38,8 +39,6 @@ ALONE_FROM = 12  # ticks after the start, longer than a lease, at which the robo
 SAME_GOAL_M = 0.1  # between two goals of one task
 TASK_GAP_NS = 15 * NS_PER_S
 """ns without a goal after which a goal at the same place is a new task: recoveries and pauses are shorter."""
-MAX_POSE_AGE_NS = NS_PER_S  # after which a pose says nothing of the speed: the robot stands on old inputs
-SPEED_SETTLING = 0.4  # share of the newest step in the speed
 
 
 class TrafficService(Service):
@@ -59,7 +58,7 @@ class TrafficService(Service):
         self.floor, self.map_name = Floor(robot.circumscribed_radius), ""
         self.share: ExplorationShare | None = None
         self.frame = CommonFrame()
-        self.pose_tracker, self.pose_stamp, self.v, self.w = PoseTracker(), 0, 0.0, 0.0
+        self.pose_tracker, self.speed = PoseTracker(), MeasuredSpeed()
         self.order: Order | None = None
         self.plan: Path | None = None
         self._taken: tuple[Path | None, int] = None, 0  # the plan that the reservation has, and the floor of its widths
@@ -103,14 +102,9 @@ class TrafficService(Service):
 
     @on(topics.POSE)
     def pose(self, estimate: PoseEstimate) -> Out:
-        before, stamp = self.pose_tracker.map_from_base, self.pose_stamp
+        before = self.pose_tracker.map_from_base
         jumped = self.pose_tracker.add_estimate(estimate)
-        here, self.pose_stamp = estimate.map_from_base, estimate.stamp
-        seconds = (estimate.stamp - stamp) / NS_PER_S
-        if before is not None and not jumped and 0.02 < seconds < 1.0:
-            step = before.inverse() @ here
-            self.v += SPEED_SETTLING * (max(-20.0, min(step.x / seconds, 20.0)) - self.v)
-            self.w += SPEED_SETTLING * (max(-50.0, min(step.yaw / seconds, 50.0)) - self.w)
+        self.speed.add(None if jumped else before, estimate.map_from_base, estimate.stamp)
         return ()
 
     @on(topics.GOAL)
@@ -139,20 +133,23 @@ class TrafficService(Service):
 
     @on(topics.PLAN)
     def new_plan(self, plan: Path) -> Out:
-        """Takes a plan. With other robots there, the right of way on another path follows at once."""
+        """Takes a plan. With other robots there, the right of way on another path, and its intent, follow at once."""
         goal = self.order
         if not isinstance(goal, Goal) or not goal.active or plan.goal_id != goal.id:
             return
         self.plan = None if plan.reason or not len(plan.xs) else plan
         if self.is_active and self._take_plan():
             yield from self._decide()
+            yield from self._intent()
 
     @on(topics.HEARD)
     def heard(self, intent: RobotIntent) -> Out:
+        """Hears another robot. If the right of way waits for its answer, that follows at once."""
         if intent.map == self.frame.name:
             intent = moved_intent(intent, self.frame.common_from_map.inverse())
         self.neighbours.hear(intent, self.now)
-        return ()
+        if self.reservation.is_answered_by(intent.robot, dict(intent.heard)):
+            yield from self._decide()
 
     @every(hz=5)
     def tick(self) -> Out:
@@ -180,20 +177,20 @@ class TrafficService(Service):
         lost = self.neighbours.lost(self.frame.name, self.now) if is_lost else []
         if active or lost:
             yield topics.OTHER_ROBOTS(other_robots(there, lost, self.now))
-        if self.now - self.pose_stamp > MAX_POSE_AGE_NS:
-            self.v = self.w = 0.0
+        if active or self.n_ticks % ALONE_EVERY == 0:
+            yield from self._intent()
+
+    def _intent(self) -> Out:
         here = self.pose_tracker.map_from_base
-        is_due = active or self.n_ticks % ALONE_EVERY == 0
-        if here is not None and is_due:
-            me = self.reservation.told(here.x, here.y, self._order())
+        if here is not None:
             told = intent(
-                me=me,
+                me=self.reservation.told(here.x, here.y, self._order()),
                 giving_way=self.giving_way,
-                there=there,
+                there=self.neighbours.alive(self.frame.name, self.now),
                 map_name=self.frame.name,
                 map_from_base=here,
-                velocity=(self.v, self.w),
-                lost=is_lost,
+                velocity=self.speed.at(self.now),
+                lost=self.pose_tracker.is_lost,
                 now=self.now,
             )
             yield topics.INTENT(moved_intent(told, self.frame.common_from_map))

@@ -42,6 +42,18 @@ def test_the_way_is_cleared_to_the_end_of_what_the_robot_holds(odom_from_map):
     assert traffic(told(6, whole=True)).cleared(odom_from_map @ PATH, odom_from_map) == inf
 
 
+@pytest.mark.parametrize("beside", [0.45, 0.8])
+def test_a_robot_that_stopped_beside_its_new_path_drives_back_to_it(beside):
+    """It braked from its old one. The plan begins where it was when that was made."""
+    held = told(6)
+    held = replace(held, xs=np.append(np.float32(-beside), held.xs[1:]))
+    along = np.arange(-beside, 4.0, SPACING)
+    from_behind = np.column_stack((along, np.zeros(len(along))))
+    assert traffic(held).cleared(from_behind, Pose2()) == pytest.approx(1.5 + beside, abs=0.06)
+    from_behind[:, 1] = 0.3
+    assert traffic(held).cleared(from_behind, Pose2()) == 0.0, "elsewhere"
+
+
 def test_another_plan_is_not_cleared_where_it_leaves_what_the_robot_holds():
     aside = np.column_stack((np.minimum(PATH[:, 0], 0.6), np.maximum(PATH[:, 0] - 0.6, 0.0)))
     assert traffic(told(10)).cleared(aside, Pose2()) == pytest.approx(0.6, abs=0.1)
