@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A new path is told at once, and driven on as soon as the others have answered: not at the next tick."""
+"""A new path is said at once, and driven on as soon as the others have answered: not at the next tick."""
 
 import numpy as np
 
@@ -40,7 +40,7 @@ class Red:
         return self.call("heard", now, intent(now, at=Pose2(-2.0, 5.0), heard=(("red", answer),)))
 
 
-def test_a_new_path_is_told_at_once_and_driven_on_with_the_answer():
+def test_a_new_path_is_said_at_once_and_driven_on_with_the_answer():
     red = Red()
     red.blue(S, 0)
     red.call("tick", S)
