@@ -5,8 +5,10 @@ A browser also shows pages of others, which must not reach the robot. They could
 leads here (Host), from their own address (Origin), or by a form (the token).
 """
 
+import asyncio
 import hmac
 from collections.abc import Awaitable, Callable, MutableMapping
+from contextlib import suppress
 from dataclasses import dataclass
 from ipaddress import ip_address
 from typing import Any, NamedTuple
@@ -26,6 +28,8 @@ COOKIE = "__Host-zenav"
 TOKEN_HEADER = b"x-csrf"
 PROXY_HEADERS = frozenset((b"forwarded", b"via", b"x-forwarded-for", b"x-forwarded-host", b"x-real-ip"))
 SAFE_METHODS = ("GET", "HEAD")
+MAX_UNUSED_BODY = 64 * 1024  # bytes of a refused request that are read
+BODY_LIMIT_S = 0.5  # in which they must come
 LOGIN_PATH = "/login"
 PUBLIC_PATHS = ("/", "/session")
 """With /static/, what a browser needs to show the login."""
@@ -128,10 +132,22 @@ class WebGuard:
         kind = "websocket.http.response" if scope["type"] == "websocket" else "http.response"
         if scope["type"] == "websocket":
             await receive()
+        else:
+            await _read_body(receive)
         plain = (b"content-type", b"text/plain; charset=utf-8")
         start = {"status": refusal.status, "headers": [plain, (b"connection", b"close")]}
         await send_with_headers({"type": f"{kind}.start", **start})
         await send({"type": f"{kind}.body", "body": f"{refusal.text}\n".encode()})
+
+
+async def _read_body(receive: Receive) -> None:
+    """Reads a small body, for a short time: what closes a connection with unread bytes resets it, with its answer."""
+    size, more = 0, True
+    with suppress(TimeoutError):
+        async with asyncio.timeout(BODY_LIMIT_S):
+            while more and size < MAX_UNUSED_BODY:
+                message = await receive()
+                size, more = size + len(message.get("body", b"")), bool(message.get("more_body"))
 
 
 def host_of(headers: dict[bytes, bytes]) -> str:

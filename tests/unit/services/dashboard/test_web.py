@@ -2,6 +2,7 @@
 """The page's shell: what it refuses, what a page gets of the stack, and that a slow page waits alone."""
 
 import asyncio
+import select
 import socket
 import sys
 import threading
@@ -121,6 +122,28 @@ def test_a_foreign_origin_is_refused(served):
             Browser(served.port, origin=origin, read=False)
     with Browser(served.port, origin=f"http://127.0.0.1:{served.port}") as page:
         page.first("hello")
+
+
+def test_the_answer_to_a_refused_post_comes_also_where_its_body_is_late(served):
+    """A server that closes a connection with unread bytes resets it."""
+    for _ in range(5):
+        with socket.create_connection(("127.0.0.1", served.port), timeout=5) as connection:
+            head = f"POST /maps?name=office HTTP/1.1\r\nHost: 127.0.0.1:{served.port}\r\nContent-Length: 4\r\n\r\n"
+            connection.sendall(head.encode())
+            assert not select.select([connection], [], [], 0.1)[0], "it waits for the body"
+            connection.sendall(b"body")
+            answer = b""
+            while part := connection.recv(4096):
+                answer += part
+        assert answer.startswith(b"HTTP/1.1 403")
+        assert b"reload the page" in answer
+
+
+def test_a_refused_post_whose_body_never_comes_is_answered_all_the_same(served):
+    with socket.create_connection(("127.0.0.1", served.port), timeout=5) as connection:
+        head = f"POST /maps HTTP/1.1\r\nHost: 127.0.0.1:{served.port}\r\nContent-Length: 4\r\n\r\n"
+        connection.sendall(head.encode())
+        assert connection.recv(4096).startswith(b"HTTP/1.1 403")
 
 
 def test_a_post_needs_the_token_of_hello(served):
