@@ -116,7 +116,7 @@ class Exploration:
         )
 
     def known_map(self, grid: OccupancyGrid) -> OccupancyGrid:
-        """The own map, with that of the robots that it explores with where the own one is unknown."""
+        """The own map, with that of the robots that it explores with where the own one is not sure."""
         return grid if self.sharing is None else joined(grid, self.sharing.map.grid)
 
     def own_part(self, found: Frontiers, now: int) -> Frontiers:
@@ -136,7 +136,7 @@ class Exploration:
             if same is None:
                 if self.looking is None and _is_unreachable(result, self.target, resolution):
                     return self.target  # planner and local control decide whether it can be reached
-                if pose.distance(Pose2(self.target.x, self.target.y)) <= _SEEN_FROM_M:
+                if self._has_seen(self.target, result, pose, resolution):
                     self._seen.append((self.target.x, self.target.y))
             elif self.looking is None:
                 gain = costs[id(same)] - costs[id(ranked[0])]
@@ -157,9 +157,16 @@ class Exploration:
             self._close(frontier, target, resolution)
         return self.target
 
+    def _has_seen(self, target: FrontierTarget, result: Frontiers, pose: Pose2, resolution: float) -> bool:
+        """Whether a target has vanished before the robot: it was not left to another one, nor did it move on."""
+        found = self.sharing.found if self.sharing is not None and self.sharing.found is not None else result
+        is_near = pose.distance(Pose2(target.x, target.y)) <= _SEEN_FROM_M
+        left = (float(_distances_to(frontier.cells, target, resolution).min()) for frontier in found.frontiers)
+        return is_near and all(distance > _GIVE_UP_RADIUS_M for distance in left)
+
     def _was_seen(self, target: FrontierTarget) -> bool:
-        """Whether the robot has seen a small frontier before, which vanished then: cells at the edge of a view change
-        between known and uncertain.
+        """Whether a small frontier was seen before and vanished then: cells at the edge of a view change between known
+        and uncertain.
         """
         is_small = target.frontier.size < _SMALL_SIZES * self.config.frontier.min_size
         seen = (*self._seen, *self._seen_by_others)

@@ -22,7 +22,7 @@ from shared.grid import OccupancyGrid
 from shared.messages import ExplorationShare, MapUpdate
 from shared.types import Float32s, Float64s, Int8s, Int64s
 
-_DETOUR = 1.4  # m of driving per m of straight line, between frontiers
+_DETOUR = 1.4  # m of driving per m of straight line, where no path is known
 _KEEP_M = 1.0  # m by which another robot must be nearer to take a frontier that is driven to
 _CLOSED_M = 0.2  # between the places of a border at which the robot saw no more, in a message
 _MAX_FRONTIERS = 100  # in a message, the nearest
@@ -49,20 +49,27 @@ class Teammate:
     share: ExplorationShare
     arrived: int
 
+    def point(self, map_from_common: Pose2) -> Point:
+        """Where it is, m in the own `map`."""
+        pose = map_from_common @ Pose2(self.share.x, self.share.y)
+        return pose.x, pose.y
+
     def frontiers(self, map_from_common: Pose2) -> Float64s:
         """(n, 2) m in the own `map`."""
-        points = np.column_stack((self.share.frontier_xs, self.share.frontier_ys)).astype(np.float64)
-        return np.asarray(map_from_common @ points)
+        return _moved(map_from_common, self.share.frontier_xs, self.share.frontier_ys)
 
     def closed(self, map_from_common: Pose2) -> Float64s:
         """(n, 2) m in the own `map`: borders at which it saw no more."""
-        points = np.column_stack((self.share.closed_xs, self.share.closed_ys)).astype(np.float64)
-        return np.asarray(map_from_common @ points)
+        return _moved(map_from_common, self.share.closed_xs, self.share.closed_ys)
 
     def seen(self, map_from_common: Pose2) -> list[Point]:
         """m in the own `map`: frontiers that vanished when it was near."""
-        points = np.column_stack((self.share.seen_xs, self.share.seen_ys)).astype(np.float64)
-        return [(x, y) for x, y in np.asarray(map_from_common @ points).tolist()]
+        return [(x, y) for x, y in _moved(map_from_common, self.share.seen_xs, self.share.seen_ys).tolist()]
+
+
+def _moved(transform: Pose2, xs: Float32s, ys: Float32s) -> Float64s:
+    """(n, 2) m: points (n,), (n,) in another frame."""
+    return np.asarray(transform @ np.column_stack((xs, ys)).astype(np.float64))
 
 
 class SharedExploration:
@@ -151,8 +158,9 @@ class SharedExploration:
     def _dealt(self, found: Frontiers, target: Point | None, alive: list[Teammate]) -> list[int]:
         """Returns the indices of the frontiers that are dealt to this robot.
 
-        Where nothing is left to it, and no other robot drives to a frontier, it keeps all. Each of two robots may have
-        left a frontier to the other.
+        A robot gets those near it, listed by it or not: it will see them soon. But where nothing is left to this robot,
+        it keeps all that no other lists, and all where no robot drives to one. Else each of two robots may
+        leave a frontier to the other.
         """
         map_from_common = self.common_from_map.inverse()
         own = [(frontier.x, frontier.y) for frontier in found.frontiers]
@@ -167,13 +175,17 @@ class SharedExploration:
                     k = len(places)
                     places.append((x, y))
                 bids[mate.share.robot][k] = min(cost, bids[mate.share.robot].get(k, inf))
-        costs = {name: [bid.get(k, inf) for k in range(len(places))] for name, bid in bids.items()}
-        costs[self.name] = [frontier.distance for frontier in found.frontiers] + [inf] * (len(places) - len(own))
+        listed = {name: [bid.get(k, inf) for k in range(len(places))] for name, bid in bids.items()}
+        listed[self.name] = [frontier.distance for frontier in found.frontiers] + [inf] * (len(places) - len(own))
+        near = dict(listed)
+        for mate in alive:
+            here, bid = mate.point(map_from_common), bids[mate.share.robot]
+            near[mate.share.robot] = [bid.get(k, _DETOUR * _apart(here, place)) for k, place in enumerate(places)]
         claims = {mate.share.robot: _claim(mate, map_from_common) for mate in alive} | {self.name: target}
-        dealt = [k for k in deal(places, costs, claims, same)[self.name] if k < len(own)]
-        if not dealt and all(claim is None for claim in claims.values()):
-            return list(range(len(own)))
-        return dealt
+        for costs in (near, listed):
+            if dealt := [k for k in deal(places, costs, claims, same)[self.name] if k < len(own)]:
+                return dealt
+        return list(range(len(own))) if all(claim is None for claim in claims.values()) else []
 
     def message(
         self, pose: Pose2, target: Point | None, grid: OccupancyGrid, explores: bool, task_id: int, now: int

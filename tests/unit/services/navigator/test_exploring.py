@@ -381,3 +381,18 @@ def test_who_explores_and_is_lost_before_there_is_anywhere_to_go_gives_up_with_t
     bench.explore()
     assert bench.run(60, until=ENDS) > 20
     assert (bench.status.state, bench.status.reason) == (NavState.FAILED, reasons.POSE_LOST.code)
+
+
+def small(x):
+    """A frontier of 0.6 m at x, 0."""
+    return Frontier(x, 0.0, 0.0, 0.6, abs(x), np.array([[0, round(x / R)]]))
+
+
+def test_a_small_frontier_that_moves_on_before_the_robot_is_followed():
+    """As in a narrow corridor with a short view."""
+    exploration = Exploration(ExplorationConfig())
+    for step in range(20):
+        x = 1.0 + 0.6 * step
+        target = exploration.choose_target(found(small(x)), Pose2(x - 1.0, 0.0), R)
+        assert target is not None
+        assert target.x == pytest.approx(x, abs=R)

@@ -137,10 +137,12 @@ def test_a_robot_without_frontiers_takes_what_two_robots_left_to_each_other():
     assert own(sharing, found) == []
 
 
-def test_a_frontier_that_no_other_robot_lists_is_the_own_one():
+def test_a_frontier_that_another_robot_may_not_know_is_left_to_it_only_while_there_are_others():
+    """Blue stands beside it, but does not list it: then each robot would leave it to the other."""
     sharing = SharedExploration(CONFIG, "red", ("blue",), Pose2())
-    sharing.take(share_of("blue", 10.0, 0.0, [(20.0, 0.0, 10.0)], claimed=0), S)
-    assert own(sharing, frontiers((1.0, 0.0, 1.0), (9.0, 0.0, 9.0))) == [(1.0, 0.0), (9.0, 0.0)]
+    sharing.take(share_of("blue", 10.0, 0.0, []), S)
+    assert own(sharing, frontiers((1.0, 0.0, 1.0), (9.0, 0.0, 9.0))) == [(1.0, 0.0)]
+    assert own(sharing, frontiers((9.0, 0.0, 9.0))) == [(9.0, 0.0)]
 
 
 class Room:
@@ -246,6 +248,24 @@ def test_a_small_frontier_that_vanished_while_the_robot_was_near_is_no_frontier_
     exploration.choose_target(large, Pose2(), 0.05)
     exploration.choose_target(none, Pose2(), 0.05)
     assert exploration.choose_target(large, Pose2(), 0.05) is not None
+
+
+def test_a_small_frontier_that_is_left_to_another_robot_nearby_was_not_seen():
+    sharing = SharedExploration(CONFIG, "red", ("blue",), Pose2())
+    exploration = Exploration(ExplorationConfig(), sharing)
+    two = frontiers((1.0, 0.0, 1.0), (9.0, 0.0, 9.0))
+    cells = (np.array([[0, 20]]), np.array([[0, 180]]))
+    two = replace(
+        two, frontiers=tuple(replace(f, size=0.6, cells=c) for f, c in zip(two.frontiers, cells, strict=True))
+    )
+    assert exploration.choose_target(exploration.own_part(two, S), Pose2(), 0.05).frontier.x == 1.0
+    sharing.take(share_of("blue", 1.0, 0.0, [(1.0, 0.0, 0.0)], claimed=0), S)
+    exploration.target = replace(exploration.target, frontier=replace(exploration.target.frontier, x=50.0))
+    assert exploration.choose_target(exploration.own_part(two, S), Pose2(), 0.05).frontier.x == 9.0
+    assert sharing.seen == []
+    gone = replace(two, frontiers=two.frontiers[:1], between=two.between[:1, :1])
+    exploration.choose_target(exploration.own_part(gone, S), Pose2(8.0, 0.0), 0.05)
+    assert len(sharing.seen) == 1
 
 
 def test_a_subset_keeps_the_distances_between_its_frontiers():
