@@ -9,10 +9,10 @@ Unknown fields are ignored, so that messages can grow (shared/unknown_fields.py 
 import struct
 import sys
 from collections.abc import Callable
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, replace
 from enum import StrEnum
 from functools import cache
-from math import inf, isfinite, isnan
+from math import inf, isfinite, isnan, nan, prod
 from typing import Any, NamedTuple, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import msgpack
@@ -35,6 +35,7 @@ DTYPES: dict[int, np.dtype[Any]] = {
 _CODES = {dtype: code for code, dtype in DTYPES.items()}
 MAX_COORDINATE, MAX_YAW = 1e6, 1000  # m, rad: a pose farther out is a fault of its sender
 MAX_NUMBER = sys.float_info.max
+FEW = 16  # numbers of an array, up to which Python checks them faster than numpy
 
 
 class CodecError(ValueError):
@@ -244,8 +245,8 @@ def _checker(kind: Any, within: Within | None, nonzero: bool) -> Check:
     """Turns a decoded msgpack value into the field's value, or raises CodecError."""
     if get_origin(kind) is np.ndarray:
         dtype = wire_dtype(kind)
-        code = _CODES[dtype]
-        return lambda value: _array(value, dtype, code, within)
+        code, rounded = _CODES[dtype], _rounded(within, dtype)
+        return lambda value: _array(value, dtype, code, rounded)
     if kind is Pose2:
         return _pose
     if kind is float:
@@ -358,9 +359,7 @@ def _array(value: Any, dtype: np.dtype[Any], dtype_code: int, within: Within | N
     if code != dtype_code or not 1 <= n_axes <= 3:
         raise CodecError(f"not a {dtype.name} array")
     shape = tuple(lengths[:n_axes])
-    size = 1
-    for length in shape:
-        size *= length
+    size = prod(shape)
     if size * dtype.itemsize != len(value) - _HEADER.size:
         raise CodecError("its bytes do not fit its shape")
     array = np.frombuffer(value, dtype, offset=_HEADER.size)
@@ -371,15 +370,30 @@ def _array(value: Any, dtype: np.dtype[Any], dtype_code: int, within: Within | N
     return array
 
 
+def _rounded(within: Within | None, dtype: np.dtype[Any]) -> Within | None:
+    """The limits as numbers of an array's type: 2 pi as float32 is greater than 2 pi."""
+    return within and replace(within, low=float(dtype.type(within.low)), high=float(dtype.type(within.high)))
+
+
 def _check_bounds(array: Any, within: Within | None) -> None:
-    if within is not None and within.nan:
-        array = np.where(array == inf, np.nan, array) if within.inf else array
-        low, high = np.fmin.reduce(array, axis=None), np.fmax.reduce(array, axis=None)
-        if isnan(low):  # nothing but NaN
-            return
-    else:
-        low, high = array.min(), array.max()
+    low, high = _extremes(array, within)
+    if isnan(low) and within is not None and within.nan:  # only allowed NaN
+        return
     if not isfinite(low) or not isfinite(high):
         raise CodecError("holds values that are not finite")
     if within is not None and not (within.low <= low and high <= within.high):
         raise CodecError(f"holds {low:g} .. {high:g}, not within {within.low:g} .. {within.high:g}")
+
+
+def _extremes(array: Any, within: Within | None) -> tuple[float, float]:
+    """The least and the greatest number of an array, without allowed NaN and inf; NaN if it has only those."""
+    few = array.ravel().tolist() if array.size <= FEW else None
+    if within is None or not within.nan:
+        if few is None:
+            return array.min(), array.max()
+        return (min(few), max(few)) if all(map(isfinite, few)) else (nan, nan)  # Python's min ignores NaN
+    if few is None:
+        array = np.where(array == inf, np.nan, array) if within.inf else array
+        return np.fmin.reduce(array, axis=None), np.fmax.reduce(array, axis=None)
+    few = [n for n in few if not isnan(n) and not (within.inf and n == inf)]
+    return min(few, default=nan), max(few, default=nan)

@@ -78,11 +78,15 @@ class Checkpoint:
     arguments: tuple[Any, ...]
 
 
-def on(topic: Topic[M]) -> Callable[[Callable[[S, M], Out]], Callable[[S, M], Out]]:
-    """Marks the handler of a topic's messages."""
+def on(topic: Topic[M], waits: bool = False) -> Callable[[Callable[[S, M], Out]], Callable[[S, M], Out]]:
+    """Marks the handler of a topic's messages.
+
+    waits: a live service handles its messages together, right before the next event. For a handler that only stores:
+    an arrival then does not wake the process.
+    """
 
     def mark(handler: Callable[[S, M], Out]) -> Callable[[S, M], Out]:
-        handler.event = ("on", topic)  # type: ignore[attr-defined]  # functions carry their registration
+        handler.event = ("on", (topic, waits))  # type: ignore[attr-defined]  # functions carry their registration
         return handler
 
     return mark
@@ -210,6 +214,7 @@ class Handlers:
     topics: dict[str, tuple[Topic[Message], str]]  # topic key -> topic, method
     ticks: tuple[tuple[float, str, str], ...]  # Hz, method, key of the topic that it follows
     requests: dict[str, tuple[Request[Message, Message], str]]  # request key -> request, method
+    waiting: frozenset[str] = frozenset()  # keys of the topics whose messages wait for the next event
 
 
 def handlers(service: type[Service]) -> Handlers:
@@ -219,9 +224,10 @@ def handlers(service: type[Service]) -> Handlers:
         events.update({name: f.event for name, f in vars(base).items() if hasattr(f, "event")})
     marks = [(kind, what, name) for name, (kind, what) in events.items()]
     return Handlers(
-        {what.key: (what, name) for kind, what, name in marks if kind == "on"},
+        {what[0].key: (what[0], name) for kind, what, name in marks if kind == "on"},
         tuple((what[0], name, what[1]) for kind, what, name in marks if kind == "every"),
         {what.key: (what, name) for kind, what, name in marks if kind == "answer"},
+        frozenset(what[0].key for kind, what, _ in marks if kind == "on" and what[1]),
     )
 
 

@@ -16,6 +16,7 @@ from shared import messages, reasons, requests, topics
 from shared.codec import fields_of
 from shared.config import Robot, Section
 from shared.messages import Message
+from shared.runners.live_runner import URGENT
 from shared.service import handlers
 from zenav import docs
 from zenav.console.setting_text import bounds_text
@@ -53,6 +54,7 @@ ZENOH = (
     "shared/runners/live_runner.py",
     "shared/runners/transport.py",
     "shared/runners/client.py",
+    "shared/runners/waiting_topics.py",  # rings in Zenoh
     "services/gateway/router.py",  # a process of its own, which is no more than a session
     "services/ros2/wire.py",  # the session with ROS 2 nodes
     "services/uplink/site_session.py",  # the session with a site
@@ -166,6 +168,15 @@ def test_no_service_listens_to_a_stream_that_it_may_publish_itself():
             rule(
                 not deaf, f"{name} listens to {topic.key} and may publish it: live, it gets nothing", "take two topics"
             )
+
+
+@pytest.mark.parametrize("name", BUILT)
+def test_only_streams_wait_for_the_next_event_of_a_service(name):
+    found = handlers(service_class(name))
+    for key in found.waiting:
+        topic = found.topics[key][0]
+        is_stream = topic.by != "*" and topic.hz >= 10 and not (topic.latched or topic.from_robots or key in URGENT)
+        rule(is_stream, f"{name}: {key} waits", "leave out waits=True: a kept or an urgent message is handled at once")
 
 
 def circle_in(graph: set[tuple[str, str]]) -> str:

@@ -126,7 +126,7 @@ class GuardService(Service):
                 self.limiter.sent, self.limiter.sent_at = (0.0, 0.0), self.now
                 yield topics.CMD_VEL(Velocity(self.now, 0.0, 0.0, self.decision.reason))
 
-    @on(topics.ODOM)
+    @on(topics.ODOM, waits=True)
     def odometry(self, odometry: Odometry) -> Out:
         """Takes odometry; where it restarted, all that was seen in its former frame is dropped."""
         last = self.inputs.odom_stamp
@@ -163,7 +163,7 @@ class GuardService(Service):
         if self.decision.moves and self._evaluate().reason not in ("", self.decision.reason):
             yield from self.drive()
 
-    @on(topics.RANGES)
+    @on(topics.RANGES, waits=True)
     def range_readings(self, readings: RangeReadings) -> Out:
         """Takes the echoes of the range sensors."""
         last, max_age = self.limiter.ranges_stamp, self.config.stops.scan_age

@@ -84,7 +84,7 @@ class LocalCtrlService(Service):
         reconfigure(self)
         return ()
 
-    @on(topics.ODOM)
+    @on(topics.ODOM, waits=True)
     def odometry(self, odometry: Odometry) -> Out:
         """Takes odometry. A restart of odometry clears the costmap and the state of path following."""
         known = last.stamp if (last := self.inputs.odometry.latest) is not None else None
@@ -111,7 +111,7 @@ class LocalCtrlService(Service):
             self.costmap.add_scan(scan, odom_from_base, self.inputs.lasers[key].mount, key)
         return ()
 
-    @on(topics.RANGES)
+    @on(topics.RANGES, waits=True)
     def ranges(self, readings: RangeReadings) -> Out:
         is_of_robot = len(readings.ranges) == len(self.ranges_wanted)
         if is_of_robot and (here := self.inputs.add_ranges(readings, self.rejections, self.now)) is not None:

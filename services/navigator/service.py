@@ -81,7 +81,7 @@ class NavigatorService(Service):
             yield from self.navigation.end(self.now, NavState.CANCELED, reasons.OTHER_MAP)
             yield from self.resumption.tell(self.now)
 
-    @on(topics.ODOM)
+    @on(topics.ODOM, waits=True)
     def odometry(self, odometry: Odometry) -> Out:
         self.navigation.pose_tracker.add_odometry(odometry)
         self.velocity = odometry.v

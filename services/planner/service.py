@@ -161,7 +161,7 @@ class PlannerService(Service):
         if self.goal and not self.pose_tracker.is_lost and here is not None and self.monitor.is_off_plan(here):
             yield from self._publish_plan(always=False)
 
-    @on(topics.ODOM)
+    @on(topics.ODOM, waits=True)
     def odometry(self, odometry: Odometry) -> Out:
         self.pose_tracker.add_odometry(odometry)
         return ()

@@ -64,10 +64,11 @@ class Client:
     """A tool's session. Everything is closed when its `with` block ends.
 
     instead_of: a service whose port it takes, and with it the place where all others look for that service.
+    hears_clock: else it takes the wall's clock for the stack's, and no `sim/clock` wakes it.
     """
 
-    def __init__(self, robot: str, where: StackAddress, instead_of: str = "") -> None:
-        self.robot, self.where, self._instead_of = robot, where, instead_of
+    def __init__(self, robot: str, where: StackAddress, instead_of: str = "", hears_clock: bool = True) -> None:
+        self.robot, self.where, self._instead_of, self._hears_clock = robot, where, instead_of, hears_clock
         self.changed = threading.Condition()
         self.n_bad = 0
         self._time = Timekeeper()
@@ -81,7 +82,8 @@ class Client:
     def __enter__(self) -> "Client":
         self.session = transport.opened(self.where, self._instead_of)
         self._settled = time.monotonic() + SETTLING_S
-        self.listen(topics.CLOCK, lambda clock, _: self._hear_clock(clock))
+        if self._hears_clock:
+            self.listen(topics.CLOCK, lambda clock, _: self._hear_clock(clock))
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
@@ -99,11 +101,7 @@ class Client:
         key = key_of(publication.topic, publisher)
         with self._publishing:
             if key not in self._publishers:
-                self._publishers[key] = self.session.declare_publisher(
-                    f"{self.robot}/{key}",
-                    congestion_control=zenoh.CongestionControl.DROP,
-                    priority=zenoh.Priority.REAL_TIME,
-                )
+                self._publishers[key] = transport.publisher(self.session, f"{self.robot}/{key}", urgent=True)
             sequence = self._sequences[key] = self._sequences.get(key, -1) + 1
             envelope = Envelope(publisher, self.session_name, sequence, self.now())
             self._publishers[key].put(_sized(key, encode(publication.message, envelope)))

@@ -32,12 +32,14 @@ from shared.runners.other_robots import OtherRobotsAdmission, key_of_others
 from shared.runners.port import Port
 from shared.runners.refusals import Refusals
 from shared.runners.tick_timer import TickTimer
+from shared.runners.waiting_topics import WaitingTopics
 from shared.service import Service
 from shared.topics import TOPICS, Topic, key_of
 from shared.types import NS_PER_S
 from shared.unknown_fields import unknown_fields, unknown_text
 
 MAX_REQUESTS = 8
+URGENT = "cmd/vel", "cmd/nav", "hardware/motors", "estop"
 FIRST_INTERVAL_NS = NS_PER_S // 10  # between the first health messages: the links to their readers may not stand yet
 
 log = logging.getLogger("zenav")
@@ -74,9 +76,12 @@ class LiveRunner:
         self._slots: list[Slot] = [self._requests, self._from_ports]
         self._others: dict[str, OtherRobotsAdmission] = {}  # by key
         self._workers = ThreadPoolExecutor(1, thread_name_prefix="job")
-        self._latched = LatchedStore(disk, self._own_latched())
+        listened = [topic for topic, _ in self.host.handlers.topics.values()]
+        own = [key_of(topic, name) for topic in listened if topic.latched and name in topic.publishers]
+        self._latched = LatchedStore(disk, own)
         self._checkpoints = CheckpointDisk(disk.folder, name, self._workers) if disk is not None else None
         self._publishers: dict[str, zenoh.Publisher] = {}
+        self._waiting = WaitingTopics(session, robot)
         self._timers: list[TickTimer] = []
         self._ports = {
             port: open_device(port, config, clock, partial(self.inbox.file, self._from_ports))
@@ -127,6 +132,7 @@ class LiveRunner:
         interval, ticked = FIRST_INTERVAL_NS, set[TickTimer]()
         while not self._stopping:
             self._take_raws()
+            self._take_waiting()
             now = self.clock.now()
             self._refusals.report(self.host, now)
             if now >= report or report - now > NS_PER_S:  # due, or the clock was set back
@@ -162,16 +168,15 @@ class LiveRunner:
                 effects, _ = self.host.request(row.key, request, payload, now)
                 self._apply(effects)
 
-    def _own_latched(self) -> list[str]:
-        listened = self.host.handlers.topics.values()
-        return [key_of(topic, self.name) for topic, _ in listened if topic.latched and self.name in topic.publishers]
-
     def _declare(self) -> None:
         for topic in TOPICS:
             if self.name in topic.publishers:
                 self._declare_publisher(topic)
         for topic, _ in self.host.handlers.topics.values():
-            if topic.from_robots:
+            if topic.key in self.host.handlers.waiting:
+                self._admissions[topic.key] = Admission(topic)
+                self._waiting.add(topic)
+            elif topic.from_robots:
                 self._declare_listener(topic)
             elif self.name not in topic.publishers:
                 self._declare_subscriber(topic)
@@ -181,12 +186,7 @@ class LiveRunner:
 
     def _declare_publisher(self, topic: Topic[Message]) -> None:
         key = key_of(topic, self.name)
-        urgent = topic.key in ("cmd/vel", "cmd/nav", "hardware/motors", "estop")
-        self._publishers[key] = self.session.declare_publisher(
-            f"{self.robot}/{key}",
-            congestion_control=zenoh.CongestionControl.DROP,
-            priority=zenoh.Priority.REAL_TIME if urgent else zenoh.Priority.DATA,
-        )
+        self._publishers[key] = transport.publisher(self.session, f"{self.robot}/{key}", topic.key in URGENT)
         if topic.latched:
             self._latched.publishers[key] = transport.LatchedPublisher(self.session, f"{self.robot}/{key}")
 
@@ -199,9 +199,8 @@ class LiveRunner:
             file = partial(self._file_sample, slot)
             self._declared.append(self.session.declare_subscriber(f"{self.robot}/{key}", file))
             if topic.latched:
-                kept = self.inbox.slot(key, "latest")
-                reader = transport.LatchedReader(self.session, f"{self.robot}/{key}", partial(self._file_kept, kept))
-                self._latched_readers[key] = reader
+                file_kept = partial(self._file_kept, self.inbox.slot(key, "latest"))
+                self._latched_readers[key] = transport.LatchedReader(self.session, f"{self.robot}/{key}", file_kept)
 
     def _declare_listener(self, topic: Topic[Message]) -> None:
         """Subscribes to what the other robots publish."""
@@ -230,6 +229,7 @@ class LiveRunner:
             self.inbox.file(self._requests, (request, query))
 
     def _handle(self, slot: Slot, item: Any) -> None:
+        self._take_waiting()
         now = self.clock.now()
         begun = time.perf_counter()
         if slot is self._requests:
@@ -248,6 +248,11 @@ class LiveRunner:
             self._message(slot.key, item[0], now, begun, latched=True)
         else:
             self._message(slot.key, item, now, begun, latched=False)
+
+    def _take_waiting(self) -> None:
+        for key, payload in self._waiting.take():
+            if not self._refusals.oversized(key, payload):
+                self._message(key, payload.to_bytes(), self.clock.now(), time.perf_counter(), latched=False)
 
     def _message(self, key: str, payload: bytes, now: int, begun: float, latched: bool) -> None:
         topic = topics.topic_of(key)

@@ -272,6 +272,15 @@ class RawSample(NamedTuple):
     latched: bool
 
 
+def publisher(session: zenoh.Session, key: str, urgent: bool) -> zenoh.Publisher:
+    """A publisher that drops messages before it waits for a slow reader. key: with the robot's name."""
+    return session.declare_publisher(
+        key,
+        congestion_control=zenoh.CongestionControl.DROP,
+        priority=zenoh.Priority.REAL_TIME if urgent else zenoh.Priority.DATA,
+    )
+
+
 class Everything:
     """Subscribes to every key of a robot, for a reader that polls: Python does not wake up for each message.
 

@@ -13,11 +13,12 @@ from shared import requests, topics
 from shared.codec import Envelope, decode, encode
 from shared.config import Section, UserError, load_robot
 from shared.geometry import Pose2
-from shared.messages import EmergencyStop, Goal, WheelState
+from shared.messages import EmergencyStop, Goal, RangeReadings, WheelState
 from shared.requests import Cancel, Reply
 from shared.runners import transport
 from shared.runners.clock import StackClock
 from shared.runners.live_runner import LiveRunner
+from shared.sample_messages import range_readings
 from shared.service import Answer, Job, Out, Service, answer, every, on
 
 ROBOT = load_robot("x80sv").robot
@@ -108,6 +109,33 @@ class GoalListener(Service):
         return ()
 
 
+class StoringPlanner(GoalListener):
+    """Stores wheels and ranges until a goal comes."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stamps: list[int] = []
+        self.ranges: list[int] = []
+        self.at_goal: list[list[int]] = []
+        self.stored = threading.Semaphore(0)
+
+    @on(topics.WHEELS, waits=True)
+    def wheels(self, wheels: WheelState) -> Out:
+        self.stamps.append(wheels.stamp)
+        self.stored.release()
+        return ()
+
+    @on(topics.RANGES, waits=True)
+    def take_ranges(self, readings: RangeReadings) -> Out:
+        self.ranges.append(readings.stamp)
+        return ()
+
+    @on(topics.GOAL)
+    def goal(self, goal: Goal) -> Out:
+        self.at_goal.append(list(self.stamps))
+        return super().goal(goal)
+
+
 class StopListener(Service):
     def __init__(self) -> None:
         super().__init__(Section(), ROBOT)
@@ -168,6 +196,30 @@ def test_random_bytes_and_intruders_are_counted_and_the_service_goes_on(where):
             wait_for(lambda: True, odometry.enough)
         assert live.stats.bad == 4
         assert live.stats.intruders == 1
+
+
+def test_waiting_messages_are_handled_in_order_before_the_next_event_and_without_one(where):
+    planner, base, navigator = StoringPlanner(), f"{ROBOT.name}/base", f"{ROBOT.name}/goal"
+    n, goal = 40, Goal(1, 1, True, Pose2(1, 2, 0), 0.1, 0.1, False)
+    with running(planner, "planner", where) as live, transport.opened(where, "base_driver") as robot:
+        for stamp in range(n):
+            wheels = WheelState(stamp, 0, 0.0, 0.0, 0.0, 0.0)
+            robot.put(f"{base}/wheels", encode(wheels, Envelope("base_driver", "b", stamp, stamp)))
+            readings = encode(range_readings(stamp, 2), Envelope("base_driver", "b", stamp, stamp))
+            robot.put(f"{base}/ranges", readings)
+            if stamp == n // 2:
+                robot.put(f"{base}/wheels", b"\xc1")
+                robot.put(f"{base}/wheels", bytes(transport.MAX_PAYLOAD + 1))
+        robot.put(navigator, encode(goal, Envelope("navigator", "n", 0, n)))
+        wait_for(lambda: planner.goals == [1], planner.got)
+        assert planner.at_goal == [list(range(n))]
+        assert planner.ranges[-1] == n - 1
+        assert planner.ranges == sorted(set(planner.ranges))
+        assert live.stats.bad == 1
+        wheels = WheelState(n, 0, 0.0, 0.0, 0.0, 0.0)
+        robot.put(f"{base}/wheels", encode(wheels, Envelope("base_driver", "b", n, n)))
+        for _ in range(n + 1):
+            assert planner.stored.acquire(timeout=10.0)
 
 
 def test_a_late_joiner_has_the_goal_at_once_and_a_request_is_answered(where):

@@ -90,6 +90,21 @@ def test_a_good_scan_is_good():
     assert decode(LaserScan, scan())[0].stamp == 5
 
 
+numbers = st.sampled_from([np.nan, np.inf, -np.inf, -1.0, -1e-7, 0.0, 1.0, 250.0, 250.00002, 65535.0, 65536.0, 1e30])
+
+
+@given(st.lists(numbers, min_size=2, max_size=8), st.sampled_from(["ranges", "intensities"]))
+def test_few_and_many_numbers_of_an_array_are_judged_alike(values, field):
+    def judged(n: int) -> str:
+        try:
+            decode(LaserScan, scan(angle_increment=0.01, **{field: array(values * n)}))
+        except CodecError as error:
+            return str(error)
+        return "good"
+
+    assert judged(1) == judged(20)
+
+
 @pytest.mark.parametrize(
     ("fields", "told"),
     [

@@ -138,7 +138,8 @@ def up(options: UpOptions) -> None:
         launcher = open_things.enter_context(Launcher(commands, folder, _print_line, 1 / options.speed))
         is_simulated = "sim" in plan.names
         check_world = begin_check(lambda: simulated_world(plan.file)) if is_simulated else lambda: None
-        client = open_things.enter_context(Client(plan.file.robot.name, plan.where))
+        hears_clock = bool(clock or options.external)
+        client = open_things.enter_context(Client(plan.file.robot.name, plan.where, hears_clock=hears_clock))
         token = announce(client.session, plan.file.robot.name, is_shared=bool(plan.where.router))
         open_things.callback(token.undeclare)
         watch = _external_watch(plan, client)
