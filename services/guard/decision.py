@@ -155,11 +155,11 @@ class VelocityLimiter:
         if abs(v) <= blind_speed:
             return (v, w), None
         direction = 0.0 if v > 0 else pi
-        in_sweep = [laser for laser in self.inputs.lasers if laser.covers(direction)]
-        is_seen = any(not laser.visibility.is_empty(direction, now) for laser in in_sweep)
         has_ranges = self.ranges_stamp is not None and fresh(self.ranges_stamp, now, MAX_RANGES_AGE_S)
-        is_sensed = has_ranges and any(abs(wrapped(s.mount.yaw - direction)) <= pi / 4 for s in self.robot.ranges)
-        if is_sensed or is_seen:
+        if has_ranges and any(abs(wrapped(s.mount.yaw - direction)) <= pi / 4 for s in self.robot.ranges):
+            return (v, w), None
+        in_sweep = [laser for laser in self.inputs.lasers if laser.covers(direction)]
+        if any(not laser.visibility.is_empty(direction, now) for laser in in_sweep):
             return (v, w), None
         share = blind_speed / abs(v)
         return (v * share, w * share), reasons.SCAN_EMPTY if in_sweep else reasons.NO_SENSOR

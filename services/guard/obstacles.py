@@ -117,9 +117,10 @@ class Obstacles:
                 echo = NO_POINTS if is_explained.any() else odom_from_sensor @ _arc(reach, cone)
             else:
                 echo = self._echoes.get(i, (NO_POINTS, 0))[0]
-                distance, bearing = _polar(odom_from_sensor.inverse() @ echo)
-                least = self.robot.ranges[i].range_min if i < len(self.robot.ranges) else 0.0
-                echo = echo[distance <= least + ECHO_MATCH_M]
+                if len(echo):
+                    distance, _ = _polar(odom_from_sensor.inverse() @ echo)
+                    least = self.robot.ranges[i].range_min if i < len(self.robot.ranges) else 0.0
+                    echo = echo[distance <= least + ECHO_MATCH_M]
             self._echoes[i] = echo, readings.stamp
 
     def _ends(
@@ -190,12 +191,14 @@ def is_supported(ends: Float64s, earlier: Float64s, radius: Float64s, least: int
     """
     count = np.isfinite(ends[:, 0]).astype(int)
     for shift in range(1, min(least + 1, len(ends) // 2 + 1)):
-        for neighbour in (np.roll(ends, shift, axis=0), np.roll(ends, -shift, axis=0)):
-            count += np.hypot(ends[:, 0] - neighbour[:, 0], ends[:, 1] - neighbour[:, 1]) <= radius
+        gaps = ends - np.concatenate((ends[shift:], ends[:shift]))  # to the end `shift` beams later
+        lengths = np.hypot(gaps[:, 0], gaps[:, 1])
+        count += lengths <= radius
+        count += np.concatenate((lengths[-shift:], lengths[:-shift])) <= radius
     lone = np.flatnonzero((count > 0) & (count < least))
     if len(lone) and len(earlier):
-        gaps = ends[lone, None, :] - earlier
-        count[lone] += (np.hypot(gaps[:, :, 0], gaps[:, :, 1]) <= radius[lone, None]).sum(axis=1)
+        to_earlier = ends[lone, None, :] - earlier
+        count[lone] += (np.hypot(to_earlier[:, :, 0], to_earlier[:, :, 1]) <= radius[lone, None]).sum(axis=1)
     return np.asarray(count >= least)
 
 

@@ -245,7 +245,8 @@ class StopInputs:
 
     def stop_reason(self, now: int) -> tuple[Reason, GuardState] | None:
         """The first condition of STOPS that holds, or None."""
-        return next(((reason, state) for reason, state, holds in STOPS if holds(self, now)), None)
+        stops = STOPS if self.fault else STOPS_WITHOUT_FAULT
+        return next(((reason, state) for reason, state, holds in stops if holds(self, now)), None)
 
 
 def view_detail(lasers: Iterable[LaserInput]) -> str:
@@ -256,10 +257,14 @@ def view_detail(lasers: Iterable[LaserInput]) -> str:
 NO_FAULTS = ("", reasons.ESTOP.code, reasons.BAD_STAMPS.code)
 """Faults of the base that are not of its hardware."""
 
+Stop = tuple[Reason, GuardState, Callable[[StopInputs, int], bool]]
+
 # fmt: off
-STOPS: tuple[tuple[Reason, GuardState, Callable[[StopInputs, int], bool]], ...] = (  # highest rank first
+_ESTOPS: tuple[Stop, ...] = (
     (reasons.ESTOP_INPUT,    GuardState.STOPPED, lambda s, t: s.contacts.is_estop_pressed),
     (reasons.ESTOP,          GuardState.STOPPED, lambda s, t: s.estop is not None or s.base_in_estop(t)),
+)
+_BASE_FAULTS: tuple[Stop, ...] = (  # none holds while the base reports no fault
     (reasons.WHEEL_STUCK,    GuardState.FAULT,   lambda s, t: s.fault == reasons.WHEEL_STUCK.code),
     (reasons.WHEEL_ASTRAY,   GuardState.FAULT,   lambda s, t: s.fault == reasons.WHEEL_ASTRAY.code),
     (reasons.ENCODERS_BROKEN, GuardState.FAULT,  lambda s, t: s.fault == reasons.ENCODERS_BROKEN.code),
@@ -271,6 +276,8 @@ STOPS: tuple[tuple[Reason, GuardState, Callable[[StopInputs, int], bool]], ...] 
     (reasons.WRONG_RANGES,   GuardState.FAULT,   lambda s, t: s.fault == reasons.WRONG_RANGES.code),
     (reasons.SENSOR_DEAD,    GuardState.FAULT,   lambda s, t: s.fault == reasons.SENSOR_DEAD.code),
     (reasons.FAULT,          GuardState.FAULT,   lambda s, t: s.fault not in NO_FAULTS),
+)
+_OTHERS: tuple[Stop, ...] = (
     (reasons.BASE_SILENT,    GuardState.HOLD,    lambda s, t: s.is_base_old(t)),
     (reasons.BAD_STAMPS,     GuardState.HOLD,    lambda s, t: bool(s.stamp_fault(t))),
     (reasons.ODOM_OLD,       GuardState.HOLD,    lambda s, t: s.is_odom_old(t)),
@@ -289,3 +296,6 @@ STOPS: tuple[tuple[Reason, GuardState, Callable[[StopInputs, int], bool]], ...] 
     (reasons.POSE_OLD,       GuardState.HOLD,    lambda s, t: s.navigates(t) and s.is_pose_old(t)),
 )
 # fmt: on
+STOPS = (*_ESTOPS, *_BASE_FAULTS, *_OTHERS)
+"""Every stop condition, highest rank first."""
+STOPS_WITHOUT_FAULT = (*_ESTOPS, *_OTHERS)

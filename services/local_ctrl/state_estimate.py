@@ -46,6 +46,8 @@ class StateEstimate:
             w = prediction.w + gain * (odometry.w - prediction.w)
             self.motion = Motion(odometry.odom_from_base, v, w)
         self._stamp = odometry.stamp
+        while len(self._commands) > 1 and self._commands[1].sent + self._latency_ns <= self._stamp:
+            self._commands.popleft()  # the next one acted already
 
     def at_command_time(self, now: int) -> Motion:
         """The predicted motion at the time when a command that is sent at `now` (ns) acts."""
