@@ -20,21 +20,30 @@ COPY docs src/docs
 COPY shared src/shared
 COPY services src/services
 COPY zenav src/zenav
-# what nothing needs at run time is left out, a third of the packages; libraries in numpy, scipy and *.libs do not survive strip
-ARG STRIP="llvmlite foxglove zenoh zstandard lz4 apsw pydantic_core cryptography"
+# what nothing needs at run time is left out, a third of the packages; libraries in numpy, scipy and *.libs do not survive strip.
+# numpy and scipy each bring the same two libraries of Fortran, of builds with the same symbols: one is enough
+ARG STRIP="llvmlite foxglove zenoh zstandard lz4 apsw pydantic_core cryptography msgpack numba backports"
 ARG UNUSED="scipy/cluster scipy/datasets scipy/differentiate scipy/fftpack scipy/integrate scipy/interpolate scipy/io scipy/misc \
-      scipy/odr scipy/signal scipy/stats numba/cuda apsw/sqlite_extra_binaries PIL/_avif* pillow.libs/libavif*"
+      scipy/odr scipy/signal scipy/stats scipy/special/cython_special* scipy/special/_test* scipy/_lib/_test_* \
+      numpy/distutils numpy/_core/_simd* numpy/_core/_*_tests* numba/cuda numba/np/ufunc/tbbpool* numba/np/ufunc/omppool* \
+      apsw/sqlite_extra_binaries zstandard/*cffi* cffi pycparser pygments/lexers/[!_p]* pygments/lexers/_*_builtins* \
+      PIL/_avif* PIL/_webp* PIL/_imagingcms* PIL/_imagingtk* pillow.libs/libavif* pillow.libs/libwebp* pillow.libs/liblcms*"
 RUN .venv/bin/pip install --no-deps --no-build-isolation --disable-pip-version-check -q ./src \
  && rm -rf src && .venv/bin/pip uninstall -q -y setuptools pip \
  && { command -v strip > /dev/null || { apt-get update -qq && apt-get install -y -qq --no-install-recommends binutils; }; } \
  && cd .venv/lib/python3*/site-packages \
  && rm -rf $UNUSED \
  && find $STRIP -name '*.so' -exec strip --strip-unneeded {} + \
- && for library in scipy.libs/*; do same=numpy.libs/${library#*/}; if cmp -s $library $same; then ln -sf ../$same $library; fi; done \
+ && for library in scipy.libs/libgfortran* scipy.libs/libquadmath*; do \
+      name=${library#*/}; same=$(ls -d numpy.libs/${name%%-*}-* | head -n 1); \
+      [ -n "$same" ] && ln -sf ../$same $library || exit 1; done \
  && find . -type d \( -name tests -o -name test -o -name __pycache__ \) -prune -exec rm -rf {} + \
- && find . -type f \( -name '*.pyi' -o -name '*.h' -o -name '*.pxd' -o -name '*.a' \) -delete
+ && find . -type f \( -name '*.pyi' -o -name '*.h' -o -name '*.pxd' -o -name '*.pyx' -o -name '*.c' -o -name '*.cpp' \
+      -o -name '*.a' -o -name RECORD \) -delete
 # what was left out is not missed by these imports; compiles the kernels, and the bytecode of what is imported
-RUN .venv/bin/python -P -c 'import scipy.linalg, scipy.ndimage, scipy.optimize, scipy.spatial, kiss_icp.kiss_icp, rosbags.highlevel' \
+RUN .venv/bin/python -P -c 'import scipy.linalg, scipy.ndimage, scipy.optimize, scipy.spatial; \
+      import kiss_icp.kiss_icp, rosbags.highlevel, rich.traceback, cryptography.x509, foxglove, lz4.frame, zstandard; \
+      import PIL.Image, PIL.ImageFont, starlette, uvicorn' \
  && .venv/bin/python -P -m compileall -q .venv/lib/python3*/site-packages/services .venv/lib/python3*/site-packages/shared \
       .venv/lib/python3*/site-packages/zenav \
  && NUMBA_CACHE_DIR=/opt/zenav/kernels .venv/bin/python -P -m zenav.stack.warm \
