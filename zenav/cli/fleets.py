@@ -63,6 +63,7 @@ def stop(
     raise typer.Exit(stop_robots(stack or [], names or [], every))
 
 
+@fleet.command("goal", cls=Command, hidden=True)  # the word of Nav2
 @fleet.command(cls=Command)
 def goto(
     name: Robot,

@@ -256,6 +256,14 @@ def test_negative_numbers_are_arguments(monkeypatch):
     assert driven == [[(-1.0, -0.5, -90.0)], [(-0.15, 2.0, None)], [(-1.0, -2.0, None), (3.0, -4.0, None)]]
 
 
+@pytest.mark.parametrize("word", ["goto", "goal"])
+def test_a_robot_of_a_fleet_is_sent_by_both_words(word, monkeypatch):
+    sent = []
+    monkeypatch.setattr("zenav.fleet.commands.send_robot", lambda *arguments: sent.append(arguments) or 0)
+    assert _status(["fleet", word, "red", "kitchen", "--map", "hall"]) == 0
+    assert sent == [([], "red", ["kitchen"], "hall")]
+
+
 def test_a_bug_is_a_traceback_and_status_1(monkeypatch, capsys):
     import zenav.cli.topic_list
 
