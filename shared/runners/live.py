@@ -76,6 +76,7 @@ def _serve(
     gc.collect()
     gc.freeze()
     sys.setswitchinterval(0.0005)
+    transport.receives_on_one_thread()
     with transport.opened(where, name, everything=hasattr(service, "raw")) as session:
         disk = LatchedDisk(Path(options.memory), name) if options.memory else None
         box = None if hasattr(service, "raw") else BlackBox(Path(options.crashes), name, robot.name, start.robot_file)

@@ -33,7 +33,8 @@ MAX_PAYLOAD = 4 * 2**20  # bytes of a message, a request or a reply; a whole map
 MAX_MESSAGE = 4 * MAX_PAYLOAD  # bytes that Zenoh accepts; it drops larger messages silently, so we refuse them first
 RING = 6_000  # messages that wait for the recorder: 12 s of a stack, 1.5 MB
 COMPRESSION = "transport/unicast/compression/enabled"  # LZ4 of batches: tiles of a map become a tenth
-ONE_THREAD = "(rx: (handover: net))"  # the thread that waits for the sockets also reads them
+ONE_THREAD = "(rx: (worker_threads: 1), net: (handover: rx), acc: (handover: rx))"
+"""Zenoh's setting for one thread that waits for the sockets and reads them; by default a message wakes three."""
 DATA_QUEUE = 16  # batches of 64 kB a link, for parts of a map; small messages that wait share one, as none is `express`
 
 TOOL_OPEN_MS = 200  # ms that opening waits for links: a tool asks at once, and has no second try
@@ -175,8 +176,7 @@ def router_configuration(*endpoints: str) -> zenoh.Config:
 def opened(where: StackAddress, name: str = "", everything: bool = False) -> zenoh.Session:
     """An open session. Raises UserError when the service's port is taken or the router does not answer.
 
-    everything: messages get a stamp on arrival, for `Everything`. This process then receives on one thread, where Zenoh
-    would wake three for each message. That holds for the process, from its first session on.
+    everything: messages get a stamp on arrival, for `Everything`.
     """
     if name and name not in SERVICES:
         raise UserError(f"{name} is not a service", nearest(name, SERVICES))
@@ -184,7 +184,6 @@ def opened(where: StackAddress, name: str = "", everything: bool = False) -> zen
     config = configuration(where, name)
     if everything:
         config.insert_json5("timestamping/enabled", "true")
-        os.environ.setdefault("ZENOH_RUNTIME", ONE_THREAD)  # noqa: TID251  # Zenoh reads it from the environment only
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
@@ -195,6 +194,11 @@ def opened(where: StackAddress, name: str = "", everything: bool = False) -> zen
             raise UserError(f"no router answers at {where.router}", hint) from error
         hint = f"is another {name} running in domain {where.domain}? find it: ss -tlnp | grep {where.port(name)}"
         raise UserError(f"port {where.port(name)} is taken", hint) from error
+
+
+def receives_on_one_thread() -> None:
+    """Lets this process receive on one thread. Call it before the first session."""
+    os.environ.setdefault("ZENOH_RUNTIME", ONE_THREAD)  # noqa: TID251  # Zenoh reads it from the environment only
 
 
 def asks_for_realtime(priority: int = 5) -> bool:

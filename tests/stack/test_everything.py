@@ -31,9 +31,8 @@ def where(request) -> Iterator[transport.StackAddress]:
 
 
 @pytest.fixture
-def link(where, monkeypatch) -> Iterator[tuple[zenoh.Session, zenoh.Publisher]]:
+def link(where) -> Iterator[tuple[zenoh.Session, zenoh.Publisher]]:
     """A receiver of all keys, and a publisher of another session."""
-    monkeypatch.setenv("ZENOH_RUNTIME", transport.ONE_THREAD)  # not for the processes of other tests
     with ExitStack() as stack:
         sender = stack.enter_context(transport.opened(where, "odometry"))
         receiver = stack.enter_context(transport.opened(where, "recorder", everything=True))
