@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages that wait for a service's next event. Zenoh stores them in a ring, and no Python code runs on their arrival.
 
-To wake a process costs more than to handle most messages. So a topic whose messages are only stored until the next
-event, as odometry is, costs a fifth (`zenav bench footprint`).
+To wake a process costs more than to handle most messages (docs/decisions.md).
 """
 
 from collections.abc import Iterator
