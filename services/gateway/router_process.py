@@ -29,7 +29,8 @@ class RouterProcess:
 
     def __init__(self, order: Mapping[str, str], take: Callable[[LinkLine], None], inside: Sequence[str] = ()) -> None:
         self._take, mark = take, secrets.token_hex(16)
-        environment = {**os.environ, "RUST_LOG": LOG_FILTER}  # noqa: TID251  # Zenoh reads its log's level from there
+        environment = {**os.environ, "RUST_LOG": LOG_FILTER}  # noqa: TID251  # Zenoh reads its settings from there
+        environment.pop("ZENOH_RUNTIME", None)  # handshakes need threads of their own
         pipe = subprocess.PIPE
         command = [*inside, *COMMAND]
         self._records, records = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
