@@ -86,7 +86,7 @@ def on(topic: Topic[M], waits: bool = False) -> Callable[[Callable[[S, M], Out]]
     """
 
     def mark(handler: Callable[[S, M], Out]) -> Callable[[S, M], Out]:
-        handler.event = ("on", (topic, waits))  # type: ignore[attr-defined]  # functions carry their registration
+        handler.event = ("waits" if waits else "on", topic)  # type: ignore[attr-defined]  # functions carry their registration
         return handler
 
     return mark
@@ -224,10 +224,10 @@ def handlers(service: type[Service]) -> Handlers:
         events.update({name: f.event for name, f in vars(base).items() if hasattr(f, "event")})
     marks = [(kind, what, name) for name, (kind, what) in events.items()]
     return Handlers(
-        {what[0].key: (what[0], name) for kind, what, name in marks if kind == "on"},
+        {what.key: (what, name) for kind, what, name in marks if kind in ("on", "waits")},
         tuple((what[0], name, what[1]) for kind, what, name in marks if kind == "every"),
         {what.key: (what, name) for kind, what, name in marks if kind == "answer"},
-        frozenset(what[0].key for kind, what, _ in marks if kind == "on" and what[1]),
+        frozenset(what.key for kind, what, _ in marks if kind == "waits"),
     )
 
 

@@ -1045,6 +1045,20 @@ def test_the_table_is_ranked_by_who_must_act():
 cuts = st.sets(st.sampled_from(["odom", "scan", "base"]), min_size=1)
 
 
+@settings(max_examples=40, deadline=None)
+@given(cuts | st.just(set()), st.booleans(), st.sampled_from(["", *(reason.code for reason, _, _ in STOPS)]))
+def test_the_reason_of_a_stop_is_the_first_row_of_the_whole_table_that_holds(cut, pressed, fault):
+    drive = driving()
+    drive.cut = cut
+    if pressed:
+        drive.stop(True)
+    drive.run(1.0)
+    inputs = drive.guard.inputs
+    inputs.base = replace(inputs.base, fault=fault)
+    first = next(((reason, state) for reason, state, holds in STOPS if holds(inputs, drive.now)), None)
+    assert inputs.stop_reason(drive.now) == first
+
+
 @settings(max_examples=20, deadline=None)
 @given(cuts, st.booleans(), st.sampled_from([None, (0.3, 0.0), (-0.2, 1.0)]))
 def test_any_missing_input_or_stop_is_zero_whatever_else_holds(cut, pressed, teleop):
