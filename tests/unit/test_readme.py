@@ -71,10 +71,17 @@ def test_a_make_target_exists(command):
 
 
 @pytest.mark.parametrize("command", shown("docker"))
-def test_a_container_exists(command):
+def test_a_container_or_image_exists(command):
     services = YAML(typ="safe").load(ROOT / "docker-compose.yml")["services"]
-    _, compose, *words = shlex.split(command)
-    assert compose == "compose"
+    _, family, *words = shlex.split(command)
+    if family == "image":
+        bases = re.findall(r"^FROM (\S+)", (ROOT / "Dockerfile").read_text(encoding="utf-8"), re.M)
+        images = {service["image"] for service in services.values() if "image" in service} | set(bases)
+        assert words[0] == "inspect"
+        assert words[1:]
+        assert set(words[1:]) <= images
+        return
+    assert family == "compose"
     while words[0] == "--profile":
         assert any(words[1] in service.get("profiles", ()) for service in services.values())
         words = words[2:]

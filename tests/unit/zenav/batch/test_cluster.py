@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`zenav batch replay` and a benchmark's items on a real cluster: a scheduler and a worker, each a process."""
 
-import socket
+import re
 import subprocess
 import sys
 import threading
@@ -35,24 +35,44 @@ ROOT = Path(__file__).parents[4]  # workers import works.py
 
 
 class Cluster:
-    """A scheduler and workers, each a process; may be killed and started again at its address."""
+    """A scheduler and workers, each a process; may be killed and started again at its address.
+
+    The scheduler takes a free port itself: one that was free before may be another program's by then.
+    """
 
     def __init__(self, folder, n_workers=1, certificate=None):
-        with socket.create_server(("127.0.0.1", 0)) as probe:
-            self.port = probe.getsockname()[1]
-        self.address = f"{'tls' if certificate else 'tcp'}://127.0.0.1:{self.port}"
-        self._folder, self._n_workers, self._processes = folder, n_workers, []
+        self.address = ""
+        self.log, self._folder, self._n_workers, self._processes = folder / "cluster.log", folder, n_workers, []
+        self._protocol = "tls" if certificate else "tcp"
         names = ("ca-file", "cert", "key")
         self._tls = [f"--tls-{name}={path}" for name, path in zip(names, certificate or (), strict=False)]
 
     def start(self):
-        scheduler = ["dask_scheduler", "--host", self.address, "--no-dashboard"]
-        worker = ["dask_worker", self.address, "--nthreads", "1", "--no-dashboard", "--no-nanny"]
-        worker += ["--host", "127.0.0.1", "--local-directory", str(self._folder)]
-        with (self._folder / "cluster.log").open("a") as log:
-            for program, *options in (scheduler, *([worker] * self._n_workers)):
-                command = [sys.executable, "-m", f"distributed.cli.{program}", *options, *self._tls]
-                self._processes.append(subprocess.Popen(command, stdout=log, stderr=log, cwd=ROOT))
+        """Returns when the workers are there."""
+        n_before = self._count("Register worker")
+        host = self.address or f"{self._protocol}://127.0.0.1:0"
+        self._run("dask_scheduler", "--host", host, "--no-dashboard")
+        self._wait(lambda: self._count("Scheduler at:") > 0)
+        self.address = re.findall(r"Scheduler at: *(\S+)", self.log.read_text())[-1]
+        for _ in range(self._n_workers):
+            options = ["--nthreads", "1", "--no-dashboard", "--no-nanny", "--local-directory", str(self._folder)]
+            self._run("dask_worker", self.address, "--host", "127.0.0.1", *options)
+        self._wait(lambda: self._count("Register worker") >= n_before + self._n_workers)
+
+    def _run(self, program, *options):
+        command = [sys.executable, "-m", f"distributed.cli.{program}", *options, *self._tls]
+        with self.log.open("a") as log:
+            self._processes.append(subprocess.Popen(command, stdout=log, stderr=log, cwd=ROOT))
+
+    def _count(self, words):
+        return self.log.read_text().count(words) if self.log.exists() else 0
+
+    def _wait(self, is_there):
+        limit = time.monotonic() + LIMIT_S
+        while not is_there():
+            assert time.monotonic() < limit, self.log.read_text()
+            assert all(process.poll() is None for process in self._processes), self.log.read_text()
+            threading.Event().wait(0.1)
 
     def kill(self):
         for process in self._processes:
@@ -100,10 +120,7 @@ def certificate_files(folder):
 
 def test_a_replay_on_a_cluster_is_equal_and_the_second_run_computes_nothing(cluster, tmp_path, capsys):
     command = ["batch", "replay", str(path_of("driving")), "--through", "guard", "--out", str(tmp_path / "out")]
-    limit = time.monotonic() + LIMIT_S
-    while _status([*command, "--cluster", cluster]) == 2:  # until a worker is there
-        assert time.monotonic() < limit, capsys.readouterr().err
-        threading.Event().wait(0.5)
+    assert _status([*command, "--cluster", cluster]) == 0, capsys.readouterr().err
     (row,) = last_table(Folder(str(tmp_path / "out")))
     assert (row["state"], row["different"], row["lacking"], row["cached"]) == ("done", 0, 0, False)
     assert row["equal"] == row["messages"] > 100
@@ -113,16 +130,8 @@ def test_a_replay_on_a_cluster_is_equal_and_the_second_run_computes_nothing(clus
 
 
 def test_a_benchmark_s_items_have_the_same_results_on_a_cluster_and_a_dead_one_is_named(cluster):
-    limit = time.monotonic() + LIMIT_S
     here = list(pool_results(double, range(5), 1))
-    there: list[int] = []
-    while not there:
-        assert time.monotonic() < limit
-        try:
-            there = list(pool_results(double, range(5), 1, cluster))
-        except UserError:  # until a worker is there
-            threading.Event().wait(0.5)
-    assert sorted(there) == here
+    assert sorted(pool_results(double, range(5), 1, cluster)) == here
     with pytest.raises(UserError, match="killed by SIGKILL"):
         list(pool_results(misbehave, ["die"], 1, cluster))
 
@@ -148,10 +157,7 @@ def test_slam_over_tls_on_two_workers_gives_the_maps_of_this_computer(make_clust
     assert "certificates configured" in capsys.readouterr().err
     tls = dict(zip(("ca-file", "client.cert", "client.key"), map(str, files), strict=True))
     with dask.config.set({f"distributed.comm.tls.{name}": path for name, path in tls.items()}):
-        limit = time.monotonic() + LIMIT_S
-        while _status(command) == 2:  # until a worker is there
-            assert time.monotonic() < limit, capsys.readouterr().err
-            threading.Event().wait(0.5)
+        assert _status(command) == 0, capsys.readouterr().err + cluster.log.read_text()
     there = {row["recording"]: row for row in last_table(Folder(str(tmp_path / "there")))}
     assert len(there) == 2
     for path in logs.iterdir():
@@ -159,15 +165,9 @@ def test_slam_over_tls_on_two_workers_gives_the_maps_of_this_computer(make_clust
 
 
 def test_a_run_goes_on_by_itself_when_scheduler_and_workers_were_killed(make_cluster, capsys):
-    cluster, limit = make_cluster(n_workers=2), time.monotonic() + LIMIT_S
-    while True:
-        try:
-            run = results(double, range(40), 1, cluster.address)
-            first = next(run)
-            break
-        except UserError:  # until a worker is there
-            assert time.monotonic() < limit
-            threading.Event().wait(0.5)
+    cluster = make_cluster(n_workers=2)
+    run = results(double, range(40), 1, cluster.address)
+    first = next(run)
     cluster.kill()
     again = threading.Timer(1.0, cluster.start)
     again.start()
