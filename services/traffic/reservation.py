@@ -11,6 +11,9 @@ other robot. It takes a piece only as a whole, and only where
 What is behind the robot is free again. So a robot that moves can always drive on to a place where it hinders no other.
 The first robot in the order always gets its next piece (docs/decisions.md has the argument).
 
+In a wide passage a piece may lead past a robot that stands there. Where this robot finds no way around it, it gives its
+piece back and asks for nothing for a while. So the robots that stand in its way can drive.
+
 Mutual exclusion by a total order and answers is that of Ricart and Agrawala 1981, with the answers in the messages that
 are sent anyway. The pieces up to a safe place are those of Reveliotis 2000 for guided vehicles. The waiting places are
 those of well-formed infrastructures (Cap, Novak, Kleiner, Selecky 2015).
@@ -21,7 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.traffic.conflicts import NO_PATH, Clearances, Exclusions, TrafficRobot, exclusions
+from services.traffic.conflicts import NO_PATH, Clearances, Exclusions, TrafficRobot, exclusions, near_place
 from services.traffic.passages import SPACING_M
 from shared.types import NS_PER_S, Bools, Float64s
 
@@ -34,6 +37,10 @@ KEPT_M = 0.2  # from the held points within which a new path continues on what t
 MAX_CLAIMS = 24  # that are remembered until they are answered
 DEAF_NS = 3 * NS_PER_S
 """ns after which an answer is not waited for any more: the other one does not hear this robot."""
+COMES_ON_M = 0.3  # in STALL_NS, or a robot that holds a piece stalls
+STALL_NS = 4 * NS_PER_S
+REST_NS = 3 * NS_PER_S
+"""ns for which a robot that gave its piece back asks for nothing, at most: the others take theirs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +69,8 @@ class Reservation:
         self._unanswered: set[str] = set()  # robots whose answer is missing
         self._path_claim = _Claim(0, 0, 0)
         self._claims: list[_Claim] = []
+        self._came_on = 0.0, 0.0, 0  # m, m, ns: where and when it was last found to come on, or to hold nothing
+        self._rests_since: int | None = None  # ns
 
     def set_path(self, path: Float64s, widths: Float64s, x: float, y: float, now: int) -> bool:
         """Takes a path (n, 2) m in `map` at SPACING_M from its end, with widths (n,). x, y: of the robot.  now: ns.
@@ -130,6 +139,8 @@ class Reservation:
         if not n:
             self.held_end = self.wanted_end = self.at
             return
+        if self._rests(me, others, now):
+            return
         pairs = [exclusions(me, other, self.clearances) for other in others]
         on_path = _union([pair.on_path for pair in pairs], n)
         contests = [pair.contested for pair in pairs]
@@ -151,6 +162,25 @@ class Reservation:
         places_left = np.flatnonzero(waiting[held:end])
         if len(places_left):
             self.held_end = self.at + held + int(places_left[-1]) + 1
+
+    def _rests(self, me: TrafficRobot, others: Sequence[TrafficRobot], now: int) -> bool:
+        """Whether this robot asks for nothing now. When that begins it gives back what it holds. now: ns."""
+        if self._rests_since is None:
+            x, y, since = self._came_on
+            if me.held <= 1 or np.hypot(me.x - x, me.y - y) > COMES_ON_M or now < since:
+                self._came_on = me.x, me.y, now
+            if now - self._came_on[2] < STALL_NS:
+                return False
+        before = [other for other in others if near_place(me, other, self.clearances)[: self.reach + 1].any()]
+        if not before or (self._rests_since is not None and not 0 <= now - self._rests_since < REST_NS):
+            self._rests_since, self._came_on = None, (me.x, me.y, now)
+            return False
+        if self._rests_since is None:
+            self._rests_since, self._claims = now, []
+        self.held_end = self.at + 1
+        self._want(self.held_end, now)
+        self.waits_for = tuple(other.name for other in before)
+        return True
 
     def _count(self, now: int) -> None:
         """Numbers from the clock, ms, are larger than those before a restart, which the others have answered."""

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from services.traffic.conflicts import Clearances, TrafficRobot, exclusions, order_of
 from services.traffic.give_way import circle, yielder
-from services.traffic.reservation import Reservation
+from services.traffic.reservation import STALL_NS, Reservation
 from shared.types import NS_PER_S
 
 RADIUS = 0.1
@@ -28,6 +28,7 @@ class Car:
         self.name, self.since, self.width = name, since, width
         self.reservation = Reservation(name, RADIUS, CLEARANCES, reach=3 * CELL)
         self.heard = {}  # by name: the newest message
+        self.is_blocked = False  # by something that traffic does not know
         self.x, self.y = CELL * np.array(cells[0], float)
         self.go(cells, 0)
 
@@ -44,7 +45,7 @@ class Car:
         self.reservation.update(self.x, self.y, self.order, sorted(self.heard.values(), key=lambda c: c.name), now)
 
     def drive(self):
-        if self.reservation.held > 1:
+        if self.reservation.held > 1 and not self.is_blocked:
             self.x, self.y = self.reservation.ahead[1].tolist()
             self.reservation.move(self.x, self.y)
 
@@ -163,6 +164,37 @@ def test_of_two_that_face_each_other_one_waits_until_the_other_has_driven_around
     assert blue.arrived
 
 
+def test_a_robot_that_finds_no_way_around_another_one_gives_back_what_it_holds_past_it():
+    """The first in the order holds a piece past a robot that stands on it. That one waits for it, and both stood."""
+    red, blue = Car("red", line(0, 9), since=1, width=WIDE), Car("blue", line(2, 11), since=2, width=WIDE)
+    moved_at = None
+    for tick in range(100):
+        red.heard, blue.heard = {"blue": blue.message()}, {"red": red.message()}
+        for car in (red, blue):
+            car.decide((tick + 1) * TICK_NS)
+        if tick == 2:
+            assert (3, 0) in red.taken, "it holds what is behind blue"
+        assert not (red.taken & blue.taken) or blue.reservation.held == 1
+        blue.drive()
+        if blue.x > 2 * CELL and moved_at is None:
+            moved_at = tick * TICK_NS
+        if blue.x - red.x > 2 * CELL:  # before that blue is in its way
+            red.drive()
+    assert moved_at is not None
+    assert STALL_NS <= moved_at < STALL_NS + NS_PER_S
+    assert red.arrived
+    assert blue.arrived
+
+
+def test_a_robot_that_stands_without_another_one_before_it_keeps_its_piece():
+    red, blue = Car("red", line(0, 9)), Car("blue", line(0, 9, y=20))
+    for tick in range(100):
+        red.heard, blue.heard = {"blue": blue.message()}, {"red": red.message()}
+        for car in (red, blue):
+            car.decide((tick + 1) * TICK_NS)
+    assert red.reservation.held > 1
+
+
 def test_no_robot_drives_a_new_path_before_the_others_have_heard_of_it():
     red, blue = Car("red", line(0, 9)), Car("blue", line(20, 12))
     red.heard = {"blue": blue.message()}
@@ -218,6 +250,18 @@ def test_robots_between_free_places_all_arrive_and_never_hold_one_place(town, ra
     cars = [Car(*args) for args in town]
     choices = [1, 1, 1, 2, 3, None]
     assert run(cars, 900, delay=lambda: random.choice(choices)) is not None
+
+
+@settings(max_examples=20, deadline=None)
+@given(crossings(), st.randoms(use_true_random=False))
+def test_robots_that_stall_now_and_then_never_hold_one_place_and_arrive(town, random):
+    cars = [Car(*args) for args in town]
+
+    def block(car, now):
+        if now % (8 * NS_PER_S) == 0:
+            car.is_blocked = now < 60 * NS_PER_S and random.random() < 0.5
+
+    assert run(cars, 1500, delay=lambda: random.choice([1, 1, 2, 3, None]), when_arrived=block) is not None
 
 
 def test_robots_that_wait_for_each_other_are_a_circle_and_its_last_one_makes_way():
