@@ -129,8 +129,7 @@ class Slam:
         self.lost = self.lost.extended(scan.step, scan.seconds)
         if tracked.state is not Localization.LOST or not self.is_localized or self.front_end.motions_disagree:
             self.lost = UnmatchedMotion()
-        has_moved = self.lost.path >= MAX_LOST_PATH_M or self.lost.turn >= MAX_LOST_TURN_RAD
-        is_lost = has_moved and self.has_graph
+        is_lost = self.has_graph and (self.lost.path >= MAX_LOST_PATH_M or self.lost.turn >= MAX_LOST_TURN_RAD)
         if is_lost and not self.back_end.is_fixed:
             yield from self._begin_part()
         elif is_lost or self._is_kidnapped(tracked):
@@ -143,8 +142,9 @@ class Slam:
             local_from_base=tracked.local_from_base,
             origins=tracked.beams.origins,
             ends=tracked.beams.ends,
+            points=tracked.keyframe.points,
+            normals=tracked.keyframe.normals,
             silent=tracked.beams.silent,
-            sweep=tracked.keyframe,
             covariance=self.front_end.uncertainty.map_covariance,
             odometry_residual=self.front_end.keyframe_off,
         )

@@ -36,7 +36,7 @@ class BackEndConfig(Section):
     )
     redraw_interval: float = Field(2.0, ge=0, le=3600, description="s, minimum pause between two redrawings of the map")
     max_keyframes_per_place: int = Field(
-        8, ge=2, le=1000, description="keyframes at one place from which the oldest is removed"
+        6, ge=2, le=1000, description="keyframes at one place from which the oldest is removed"
     )
     place_size: float = Field(
         0.5, ge=0.05, le=5, description="m in x and y, and rad in yaw, within which keyframes count as one place"

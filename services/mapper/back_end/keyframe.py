@@ -12,7 +12,7 @@ import numpy as np
 from services.mapper.front_end.deskew import remove_twist
 from services.mapper.grid.occupancy import Occupancy
 from shared.geometry import Pose2, wrapped_all
-from shared.types import Bools, Float32s, Float64s
+from shared.types import Bools, Float32s, Float64s, Int64s
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,57 +41,98 @@ class Sweep:
 
 NO_COVARIANCE = np.zeros((3, 3), np.float32)
 """Covariance of a keyframe that the graph was optimized with."""
+NO_RESIDUAL = Pose2()
+AnyFloats = Float32s | Float64s
 
-OBJECT_BYTES = 1250  # of a keyframe's Python objects
+OBJECT_BYTES = 900  # of a keyframe's Python objects
 
 
 @dataclass(frozen=True, slots=True)
 class Keyframe:
-    """A sweep and the pose where it was measured. Arrays are float32, as a map holds thousands.
+    """A sweep and the pose where it was measured. Its arrays are float32 in one block, as a map holds thousands.
 
     stamp: ns, end of the sweep.  local_from_base: in the front end's frame, which no closure moves.
-    origins, ends: (n, 2) m in `base`, ends NaN without an echo.
-    points, normals: (k, 2) m in `base`, for registration.
-    silent: (n, 2) m in `base`, free range of each beam without an echo, NaN elsewhere; or (0, 2) if they have none.
     covariance: (3, 3) of the pose relative to the local map, until the graph is optimized (see `pose_covariance`).
     odometry_residual: odometry^-1 @ match for the motion from the keyframe before, in this one's axes.
     """
 
     stamp: int
     local_from_base: Pose2
-    origins: Float32s
-    ends: Float32s
-    points: Float32s
-    normals: Float32s
-    silent: Float32s
+    _block: Float32s  # origins, ends, silent, normals, and points that are no ends
+    _n_beams: int
+    _n_silent: int
+    _n_points: int
+    _is_point: bytes  # a bit for each end: whether it is one of the points; empty where points are in the block
     covariance: Float32s = field(default_factory=lambda: NO_COVARIANCE, kw_only=True)
     odometry_residual: Pose2 = field(default_factory=Pose2, kw_only=True)
 
     @classmethod
     def of(
-        cls, stamp: int, local_from_base: Pose2, origins: Float64s, ends: Float64s, silent: Float64s, sweep: Sweep,
-        covariance: Float64s, odometry_residual: Pose2,
-    ) -> "Keyframe":  # fmt: skip
-        """Returns the keyframe of a placed scan, with arrays as float32.
+        cls,
+        stamp: int,
+        local_from_base: Pose2,
+        origins: AnyFloats,
+        ends: AnyFloats,
+        points: AnyFloats,
+        normals: AnyFloats,
+        silent: AnyFloats,
+        covariance: AnyFloats = NO_COVARIANCE,
+        odometry_residual: Pose2 = NO_RESIDUAL,
+    ) -> "Keyframe":
+        """Returns a keyframe with the arrays as float32. The other arguments are the fields of these names.
 
-        origins, ends, silent: (n, 2) m in `base`.  covariance: (3, 3) m and rad.  All as the fields of these names.
+        origins, ends: (n, 2) m in `base`, ends NaN without an echo.
+        points, normals: (k, 2) m in `base`, for registration.
+        silent: (n, 2) m in `base`, free range of each beam without an echo, NaN elsewhere; dropped where all are NaN.
         """
-        free = silent if not np.isnan(silent).all() else silent[:0]
-        arrays = (array.astype(np.float32) for array in (origins, ends, sweep.points, sweep.normals, free))
+        silent = silent[:0] if np.isnan(silent).all() else silent
+        ends, points = ends.astype(np.float32), points.astype(np.float32)
+        is_point = np.isin(_as_numbers(ends), _as_numbers(points))
+        apart = points if not np.array_equal(ends[is_point], points) else points[:0]
         return cls(
             stamp,
             local_from_base,
-            *arrays,
+            np.concatenate([array.astype(np.float32) for array in (origins, ends, silent, normals, apart)]),
+            len(ends),
+            len(silent),
+            len(points),
+            b"" if len(apart) else np.packbits(is_point).tobytes(),
             covariance=covariance.astype(np.float32),
             odometry_residual=odometry_residual,
         )
 
     @property
+    def origins(self) -> Float32s:
+        """(n, 2) m in `base`."""
+        return self._block[: self._n_beams]
+
+    @property
+    def ends(self) -> Float32s:
+        """(n, 2) m in `base`, NaN without an echo."""
+        return self._block[self._n_beams : 2 * self._n_beams]
+
+    @property
+    def silent(self) -> Float32s:
+        """(n, 2) m in `base`, free range of each beam without an echo, NaN elsewhere; (0, 2) if there is none."""
+        return self._block[2 * self._n_beams :][: self._n_silent]
+
+    @property
+    def normals(self) -> Float32s:
+        """(k, 2) of the points."""
+        return self._block[2 * self._n_beams + self._n_silent :][: self._n_points]
+
+    @property
+    def points(self) -> Float32s:
+        """(k, 2) m in `base`, for registration; often a copy."""
+        if not self._is_point:
+            return self._block[len(self._block) - self._n_points :]
+        bits = np.unpackbits(np.frombuffer(self._is_point, np.uint8), count=self._n_beams)
+        return self.ends[bits.astype(np.bool_)]
+
+    @property
     def n_bytes(self) -> int:
-        """Memory of the arrays and of the Python objects that hold them, bytes."""
-        return OBJECT_BYTES + sum(
-            array.nbytes for array in (self.origins, self.ends, self.points, self.normals, self.silent)
-        )
+        """Memory of the block and of the Python objects, bytes."""
+        return OBJECT_BYTES + self._block.nbytes
 
     @property
     def origin(self) -> Float64s:
@@ -107,6 +148,11 @@ class Keyframe:
     def surface(self) -> tuple[Float64s, Float64s]:
         """Returns points (k, 2) m and normals (k, 2) in `base`, float64 for the kernels."""
         return self.points.astype(np.float64), self.normals.astype(np.float64)
+
+
+def _as_numbers(points: Float32s) -> Int64s:
+    """(n,) the bits of each point (n, 2): equal where both coordinates are."""
+    return np.ascontiguousarray(points).view(np.int64).ravel()
 
 
 def mean_map_from_local(keyframes: Sequence[Keyframe], poses: Float64s) -> Pose2:

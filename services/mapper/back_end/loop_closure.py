@@ -180,7 +180,7 @@ def match_loop_closure(
 
     covariance: (3, 3) of node `row` relative to node `last`.
     """
-    if len(keyframes[last].points) < MIN_BEAMS:
+    if len(keyframes[last].normals) < MIN_BEAMS:
         return None
     submap, pyramid = submaps.around(graph, keyframes, row)
     keyframe, local_from_row = keyframes[last], keyframes[row].local_from_base

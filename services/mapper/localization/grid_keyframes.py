@@ -8,7 +8,6 @@ loop closure, kidnap detection and further mapping work on it.
 The method is our own: it makes the scans that would draw the grid again.
 """
 
-from dataclasses import replace
 from math import pi, sqrt
 
 import numpy as np
@@ -145,14 +144,14 @@ def _keyframe(grid: OccupancyGrid, coarsest: float, k: int, pose: Pose2) -> Keyf
     points, normals = cell_surface(np.ascontiguousarray((cells[np.sort(first)] + 0.5) * size - (pose.x, pose.y)), size)
     silent = np.where(seen[:, None], np.nan, ends) if not seen.all() else np.zeros((0, 2))
     hit_ends = np.where(seen[:, None], ends, np.nan)
-    return Keyframe(
+    return Keyframe.of(
         stamp=k + 1,
         local_from_base=pose,
-        origins=np.zeros_like(hit_ends, np.float32),
-        ends=hit_ends.astype(np.float32),
-        points=points.astype(np.float32),
-        normals=normals.astype(np.float32),
-        silent=silent.astype(np.float32),
+        origins=np.zeros_like(hit_ends),
+        ends=hit_ends,
+        points=points,
+        normals=normals,
+        silent=silent,
     )
 
 
@@ -212,11 +211,14 @@ def _add_beams(keyframe: Keyframe, walls: Float64s, gaps: Float64s, resolution: 
     ends = np.concatenate((walls - at, nothing))
     silent = np.concatenate((np.full_like(walls, np.nan), gaps - at + (resolution, 0.0)))  # the last cell is not drawn
     before = keyframe.silent if len(keyframe.silent) else np.full_like(keyframe.ends, np.nan)
-    return replace(
-        keyframe,
-        origins=np.concatenate((keyframe.origins, origins.astype(np.float32))),
-        ends=np.concatenate((keyframe.ends, ends.astype(np.float32))),
-        silent=np.concatenate((before, silent.astype(np.float32))),
+    return Keyframe.of(
+        stamp=keyframe.stamp,
+        local_from_base=keyframe.local_from_base,
+        origins=np.concatenate((keyframe.origins, origins)),
+        ends=np.concatenate((keyframe.ends, ends)),
+        points=keyframe.points,
+        normals=keyframe.normals,
+        silent=np.concatenate((before, silent)),
     )
 
 

@@ -105,7 +105,7 @@ def pack_map(saved: SavedMap) -> bytes:
         "driven": saved.driven,
         "beams": [len(k.ends) for k in keyframes],
         "silences": [len(k.silent) for k in keyframes],
-        "surfaces": [len(k.points) for k in keyframes],
+        "surfaces": [len(k.normals) for k in keyframes],
         "resolution": tiles.resolution, "rows": tiles.rows, "columns": tiles.columns, "cells": tiles.cells,
     }  # fmt: skip
     kinds = ARRAYS | EDIT_ARRAYS if saved.edits else ARRAYS
@@ -201,7 +201,7 @@ def _saved(arrays: dict[str, NDArray[Any]]) -> SavedMap:
                 raise ValueError(f"{name} are not as many as {count} says")
             parts[name] = np.split(arrays[name], ends[:-1])
     keyframes = tuple(
-        Keyframe(
+        Keyframe.of(
             stamp=stamp,
             local_from_base=Pose2(*row),
             origins=parts["origins"][k],

@@ -122,7 +122,7 @@ def find_places(surface: MapSurface, second: SavedMap, config: MapperConfig) -> 
         keyframes = [
             replace(second.keyframes[k], local_from_base=pose_of(second.graph.poses[k])) for k in near.tolist()
         ]
-        if sum(len(keyframe.points) for keyframe in keyframes) < MIN_POINTS:
+        if sum(len(keyframe.normals) for keyframe in keyframes) < MIN_POINTS:
             continue
         hypotheses, _ = find_poses(surface, keyframes, (), localization)
         poses = tuple(hypothesis.map_from_local for hypothesis in hypotheses if hypothesis.is_plausible)

@@ -62,9 +62,7 @@ class DriftingRobot:
         valid = usable_beams(origins, ends) | normals.any(axis=1)
         found = Sweep(origins, ends, normals, np.zeros(len(ends))).only(valid)
         self.true_at[self.now] = self.true
-        return Keyframe.of(
-            self.now, self.local, origins, ends, np.full_like(ends, np.nan), found, np.zeros((3, 3)), Pose2()
-        )
+        return Keyframe.of(self.now, self.local, origins, ends, found.points, found.normals, ends[:0])
 
     def stands(self):
         match = Match(self.local, SURE, np.ones(1, bool), 1.0)
@@ -222,9 +220,8 @@ def test_a_keyframe_of_a_few_beams_fits_anywhere_and_closes_nothing():
         graph, keyframes, driven, blocks, config, *_ = robot.back_end.search_arguments()
         covariances = relative_covariances(graph, int(graph.nodes[-1]))
         last = keyframes[-1]
-        few = replace(
-            last, points=last.points[:: len(last.points) // n][:n], normals=last.normals[:: len(last.points) // n][:n]
-        )
+        points, normals = (array[:: len(last.normals) // n][:n] for array in (last.points, last.normals))
+        few = Keyframe.of(last.stamp, last.local_from_base, last.origins, last.ends, points, normals, last.silent)
         config = config.model_copy(update=settings)
         return find_loop_closures(graph, covariances, (*keyframes[:-1], few), driven, blocks, config)
 
@@ -279,13 +276,14 @@ def test_the_memory_of_a_map_stays_when_its_keyframes_become_more(monkeypatch):
 
 def test_the_memory_of_a_keyframe_is_that_of_all_its_objects():
     keyframe = DriftingRobot().keyframe()
-    arrays = [value for field in fields(keyframe) if isinstance(value := getattr(keyframe, field.name), np.ndarray)]
-    whole = sum(sys.getsizeof(array) + (array.nbytes if array.base is not None else 0) for array in arrays)
-    whole += sys.getsizeof(keyframe) + sys.getsizeof(keyframe.stamp)
+    values = [getattr(keyframe, field.name) for field in fields(keyframe)]
+    whole = sys.getsizeof(keyframe) + sum(sys.getsizeof(value) for value in values)
     for pose in (keyframe.local_from_base, keyframe.odometry_residual):
-        whole += sys.getsizeof(pose) + sum(sys.getsizeof(value) for value in (pose.x, pose.y, pose.yaw))
-    assert keyframe.n_bytes == pytest.approx(whole, rel=0.05)
-    assert keyframe.n_bytes > sum(array.nbytes for array in arrays) + 1000
+        whole += sum(sys.getsizeof(value) for value in (pose.x, pose.y, pose.yaw))
+    block = 4 * 2 * (2 * len(keyframe.ends) + len(keyframe.normals))  # points are some of the ends
+    assert keyframe.n_bytes == pytest.approx(whole, rel=0.03)
+    assert keyframe.n_bytes > block + 500
+    print(whole - block, len(keyframe.ends))
 
 
 def memory(graph, keyframes):

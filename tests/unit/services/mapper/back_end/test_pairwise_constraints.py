@@ -23,7 +23,7 @@ def keyframe(place, segments=ROOM, seed=0):
     origins, ends = sweep(segments, place, noise=0.01, seed=seed)
     normals = sweep_normals(origins, ends)
     found = Sweep(origins, ends, normals, np.zeros(len(ends))).only(usable_beams(origins, ends) | normals.any(axis=1))
-    return Keyframe.of(seed, place, origins, ends, np.full_like(ends, np.nan), found, np.zeros((3, 3)), Pose2())
+    return Keyframe.of(seed, place, origins, ends, found.points, found.normals, ends[:0])
 
 
 def tied(places, believed, segments=None, sigma=0.01, **config):

@@ -30,11 +30,13 @@ def made(seed, n, n_loops=0, n_tiles=1, removed=()):
             graph.add_edge(k - 1, k, Pose2(*rng.normal(size=3)), np.diag(rng.uniform(1, 9, 3)), loop=False)
         beams, surface = rng.integers(0, 9, 2)
         ends = rng.normal(size=(beams, 2)).astype(np.float32)
-        ends[rng.random(beams) < 0.2] = np.nan
+        ends[rng.random(beams) < 0.2] = ends[:1] = np.nan
         points = rng.normal(size=(surface, 2)).astype(np.float32)
         normals = rng.uniform(-0.7, 0.7, (surface, 2)).astype(np.float32)
         silent = np.where(np.isnan(ends), np.float32(2), np.float32(np.nan))[: beams * rng.integers(2)]
-        keyframes.append(Keyframe(int(rng.integers(2**60)), pose, np.zeros_like(ends), ends, points, normals, silent))
+        keyframes.append(
+            Keyframe.of(int(rng.integers(2**60)), pose, np.zeros_like(ends), ends, points, normals, silent)
+        )
     for _ in range(n_loops if n > 2 else 0):
         i, j = rng.choice(n, 2, replace=False)
         graph.add_edge(int(i), int(j), Pose2(*rng.normal(size=3)), np.eye(3), loop=True)
