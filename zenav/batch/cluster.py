@@ -121,16 +121,38 @@ def _connected(address: str) -> "Client":
 
 
 def _made_client(address: str) -> "Client":
-    """Raises TimeoutError where the scheduler says nothing after the handshake, for which Dask waits for ever."""
+    """Raises TimeoutError where the scheduler says nothing after the handshake, for which Dask waits for ever.
+
+    A client that could not connect is closed at once. Dask leaves it to the garbage collector. That may come while the
+    next client starts, and then both wait for one lock.
+    """
     from distributed import Client
+
+    class ClosedClient(Client):  # type: ignore[misc]  # Dask has no types
+        def __init__(self) -> None:
+            try:
+                super().__init__(address, timeout=CONNECT_S, set_as_default=False)
+            except BaseException:
+                self.close()
+                raise
 
     made: concurrent.futures.Future[Client] = concurrent.futures.Future()
 
     def make() -> None:
         try:
-            made.set_result(Client(address, timeout=CONNECT_S, set_as_default=False))
+            client = ClosedClient()
         except BaseException as error:  # asyncio's CancelledError is no Exception
-            made.set_exception(error if isinstance(error, Exception) else ConnectionError(type(error).__name__))
+            with suppress(concurrent.futures.InvalidStateError):  # too late
+                made.set_exception(error if isinstance(error, Exception) else ConnectionError(type(error).__name__))
+            return
+        try:
+            made.set_result(client)
+        except concurrent.futures.InvalidStateError:
+            client.close()
 
     threading.Thread(target=make, daemon=True).start()
-    return made.result(3 * CONNECT_S)
+    try:
+        return made.result(3 * CONNECT_S)
+    except concurrent.futures.TimeoutError:
+        made.cancel()
+        raise

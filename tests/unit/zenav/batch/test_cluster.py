@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`zenav batch replay` and a benchmark's items on a real cluster: a scheduler and a worker, each a process."""
 
+import gc
 import re
 import subprocess
 import sys
@@ -11,6 +12,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import dask
+import distributed
 import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
@@ -138,12 +140,30 @@ def test_a_benchmark_s_items_have_the_same_results_on_a_cluster_and_a_dead_one_i
 
 def test_a_scheduler_that_falls_silent_after_the_handshake_does_not_hold_the_command(monkeypatch):
     """Dask's client waits for its first message for ever."""
-    over = threading.Event()
+    over, closed = threading.Event(), threading.Event()
+
+    class SilentClient:
+        def __init__(self, *arguments, **options):
+            over.wait(60)
+
+        def close(self):
+            closed.set()
+
     monkeypatch.setattr(module, "CONNECT_S", 0.1)
-    monkeypatch.setattr("distributed.Client", lambda *arguments, **options: over.wait(60))
+    monkeypatch.setattr("distributed.Client", SilentClient)
     with pytest.raises(UserError, match="no scheduler of Dask answers"):
         list(pool_results(double, range(5), 1, "tcp://127.0.0.1:9"))
+    assert not closed.is_set()
     over.set()
+    assert closed.wait(60), "a client that comes too late is closed"
+
+
+def test_a_client_that_could_not_connect_is_closed_before_the_collector_finds_it(cluster):
+    """Dask closes it where the collector runs: in the start of the next client both waited for one lock, for ever."""
+    with pytest.raises(UserError, match="no scheduler of Dask answers"):
+        list(pool_results(double, range(5), 1, cluster.replace("tcp://", "tls://")))  # without certificates
+    clients = [thing for thing in gc.get_objects() if issubclass(type(thing), distributed.Client)]
+    assert {client.status for client in clients} <= {"closed"}
 
 
 def test_slam_over_tls_on_two_workers_gives_the_maps_of_this_computer(make_cluster, tmp_path, capsys):
