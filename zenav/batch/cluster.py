@@ -133,7 +133,8 @@ def _made_client(address: str) -> "Client":
             try:
                 super().__init__(address, timeout=CONNECT_S, set_as_default=False)
             except BaseException:
-                self.close()
+                with suppress(Exception):  # the first error says more
+                    self.close()
                 raise
 
     made: concurrent.futures.Future[Client] = concurrent.futures.Future()
