@@ -67,6 +67,8 @@ class MppiConfig(Section):
 
 
 MIN_TURNING_SPEED_SHARE = 0.4  # of the speed of a robot that turns only while it drives
+MAX_EXCESS = 20.0  # temperatures of cost over the cheapest rollout, beyond which another one has no weight
+END_DISTANCE_M = 0.5  # from the end, beyond which the `goal` critic grows no more
 N_GUESSES = 9  # rollouts without noise: the last solution, standstill, seven that descend the cost to go
 
 
@@ -128,8 +130,9 @@ class Mppi:
 
     def _best_solution(self, scene: ControlScene, footprint: Footprint) -> ControlSolution:
         """The weighted average of `targets`, or their best one: two paths around an obstacle may average into it."""
+        excess = 1.001 * MAX_EXCESS * self.config.temperature
         outputs = self.executed, self.costs, self.gains
-        _evaluate(self.targets, scene, self.predicted_obstacles, footprint, self.limits, self.weights, *outputs)
+        _evaluate(self.targets, scene, self.predicted_obstacles, footprint, self.limits, self.weights, excess, *outputs)
         best = int(np.argmin(self.costs))
         velocities = _average(self.executed, self.costs, self.config.temperature)
         velocities, cost, gain = self._score(velocities, scene, footprint)
@@ -141,7 +144,8 @@ class Mppi:
         executed = np.empty((1, *velocities.shape), np.float32)
         cost, gain = np.empty(1), np.empty(1)
         targets = velocities.astype(np.float32)[None]
-        _evaluate(targets, scene, self.predicted_obstacles, footprint, self.limits, self.weights, executed, cost, gain)
+        outputs = executed, cost, gain
+        _evaluate(targets, scene, self.predicted_obstacles, footprint, self.limits, self.weights, inf, *outputs)
         return executed[0].astype(float), float(cost[0]), float(gain[0])
 
 
@@ -227,13 +231,16 @@ def _evaluate(
     footprint: Footprint,
     limits: Limits,
     weights: Weights,
+    excess: float,
     executed: Float32s,
     costs: Float64s,
     gains: Float64s,
 ) -> None:
     """Simulates targets (k, steps, 2) and fills executed velocities, costs, and reductions of the cost to go (m).
 
-    predicted_obstacles: (steps, n, 3), see `predicted_discs`.
+    predicted_obstacles: (steps, n, 3), see `predicted_discs`. excess: m. A rollout that is sure to cost more than this
+    over the cheapest one before it is not scored to its end. It has the cost that is known, and no braking after
+    contact.
     """
     n, steps, _ = targets.shape
     resolution = scene.resolution
@@ -247,13 +254,26 @@ def _evaluate(
     # taken out of a tuple in the loop, arrays would cost a count of references each time
     field, occupied, to_go_field, circles = scene.field, scene.occupied, scene.to_go, footprint.circles
     inscribed, circumscribed, padding = footprint.inscribed, footprint.circumscribed, footprint.padding
-    motion = np.empty((steps, 6))
+    motion, to_gos = np.empty((steps, 6)), np.empty(steps)
+    # farther from the end, its distance costs the most, and no speed is too high to stop there
+    fastest = max(limits.v_max, -limits.v_min, abs(scene.v))
+    far_away = 1.001 * max(END_DISTANCE_M, fastest * fastest / (2.0 * APPROACH_BRAKING_SHARE * limits.braking))
+    most = inf
     for k in range(n):
         _simulate(targets[k], scene.x, scene.y, c0, s0, scene.v, scene.w, limits, executed[k], motion)
+        whole_to_go = 0.0
+        for t in range(steps):
+            to_gos[t] = to_go_at(to_go_field, motion[t, 0], motion[t, 1], resolution)
+            whole_to_go += to_gos[t]
+        # no critic is negative: a rollout costs these two at least, or a collision
+        known = weights.progress * to_gos[-1] + weights.haste * whole_to_go / steps
         cost, mean_to_go, to_go = 0.0, 0.0, first
         met = False
         v_before, w_before = scene.v, scene.w
         for t in range(steps):
+            if cost + known > most:
+                to_go, mean_to_go = to_gos[-1], whole_to_go
+                break
             x, y, c, s, v, w = motion[t, 0], motion[t, 1], motion[t, 2], motion[t, 3], motion[t, 4], motion[t, 5]
             room = circles_clearance(field, resolution, x, y, c, s, circles, circumscribed)
             if room <= padding:
@@ -288,13 +308,19 @@ def _evaluate(
             dv, dw = (v - v_before) / (limits.braking * DT), (w - w_before) / (limits.turn_acceleration * DT)
             v_before, w_before = v, w
             cost += weights.smooth * DT * (dv * dv + dw * dw)
-            to_go = to_go_at(to_go_field, x, y, resolution)
+            to_go = to_gos[t]
             mean_to_go += to_go
             if scene.ends:
-                away = hypot(scene.end_x - x, scene.end_y - y)
-                over = max(0.0, abs(v) - sqrt(2.0 * APPROACH_BRAKING_SHARE * limits.braking * away))
-                cost += weights.goal * min(away, 0.5) / steps + DT * weights.overspeed * over * over
+                dx, dy = scene.end_x - x, scene.end_y - y
+                if dx * dx + dy * dy > far_away * far_away:
+                    cost += weights.goal * END_DISTANCE_M / steps
+                else:
+                    away = hypot(dx, dy)
+                    over = max(0.0, abs(v) - sqrt(2.0 * APPROACH_BRAKING_SHARE * limits.braking * away))
+                    cost += weights.goal * min(away, END_DISTANCE_M) / steps + DT * weights.overspeed * over * over
         costs[k] = cost + weights.progress * to_go + weights.haste * mean_to_go / steps
+        if costs[k] + excess < min(most, 0.5 * weights.collision):
+            most = costs[k] + excess
         gains[k] = first - to_go
 
 
@@ -335,7 +361,7 @@ def _average(executed: Float32s, costs: Float64s, temperature: float) -> Float64
     mean = np.zeros((steps, 2))
     for k in range(n):
         excess = (costs[k] - least) / temperature
-        if excess > 20.0:
+        if excess > MAX_EXCESS:
             continue
         weight = np.exp(-excess)
         total += weight

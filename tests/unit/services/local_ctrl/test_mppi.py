@@ -10,10 +10,11 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
 
-from services.local_ctrl.controller import ControlScene
+from services.local_ctrl import mppi
+from services.local_ctrl.controller import ControlScene, ControlSolution
 from services.local_ctrl.cost_to_go import CostToGoConfig, cost_to_go
 from services.local_ctrl.footprint import Footprint, collides, footprint_of
-from services.local_ctrl.mppi import Mppi, MppiConfig
+from services.local_ctrl.mppi import MAX_EXCESS, Mppi, MppiConfig
 from services.local_ctrl.rollout import DT, Limits, arc_step, limits_of
 from shared.config import load_robot
 from shared.distance_field import distance_field
@@ -90,20 +91,20 @@ def test_a_solution_that_does_not_collide_touches_nothing(seed: int, share: floa
 
 @pytest.mark.parametrize("heading", [0.0, 1.0, -2.0, 3.1])
 def test_in_the_open_it_gains_ground(heading: float) -> None:
-    mppi = Mppi(MppiConfig(), LIMITS)
+    controller = Mppi(MppiConfig(), LIMITS)
     met = scene(np.zeros((N, N), bool), heading)
     for _ in range(4):
-        solution = mppi.solve(met, SHAPE, 0)
+        solution = controller.solve(met, SHAPE, 0)
     assert solution.gain > 0.4
     x, y, _ = places(met, solution.velocities)[-1]
     assert (x - START[0]) * cos(heading) + (y - START[1]) * sin(heading) > 0.4
 
 
 def test_it_brakes_for_the_end_of_the_path() -> None:
-    mppi = Mppi(MppiConfig(), LIMITS)
+    controller = Mppi(MppiConfig(), LIMITS)
     met = scene(np.zeros((N, N), bool), v=0.8, left=0.6)
     for _ in range(3):
-        solution = mppi.solve(met, SHAPE, 0)
+        solution = controller.solve(met, SHAPE, 0)
     ends = places(met, solution.velocities)
     assert abs(solution.velocities[-1, 0]) < 0.1
     assert hypot(ends[-1][0] - START[0] - 0.6, ends[-1][1] - START[1]) < 0.12
@@ -133,13 +134,59 @@ def test_the_same_calls_give_the_same_bytes() -> None:
     assert found != [other.solve(s, SHAPE, 1).velocities.tobytes() for s in scenes]
 
 
+def moving(seed: int) -> NDArray[np.float64]:
+    """(6, 6) x, y, v, heading, turn rate, radius of dynamic obstacles about the robot; see ControlScene."""
+    rng = np.random.default_rng(seed)
+    low, high = (1.5, 1.5, -0.8, -0.8, -1.0, 0.1), (4.5, 4.5, 0.8, 0.8, 1.0, 0.3)
+    return rng.uniform(low, high, (6, 6))
+
+
+@settings(max_examples=60)
+@given(
+    st.integers(0, 1000),
+    st.sampled_from([0.0, 0.003, 0.01, 0.03, 0.1]),
+    st.floats(-3.1, 3.1),
+    st.floats(-0.15, 0.8),
+    st.sampled_from([0.2, 0.6, 2.5]),
+    st.booleans(),
+    st.sampled_from([0.001, 0.03, 1.0]),
+)
+def test_rollouts_that_are_not_scored_to_their_end_change_no_solution(
+    seed: int, share: float, heading: float, v: float, left: float, crowd: bool, temperature: float
+) -> None:
+    met = scene(clutter(seed, share), heading=heading, v=v, left=left)
+    if crowd:
+        met = met._replace(dynamic_obstacles=moving(seed))
+    quick, whole = (Mppi(MppiConfig(temperature=temperature), LIMITS) for _ in range(2))
+    for _ in range(3):
+        found, scored = quick.solve(met, SHAPE, 1), _scored_to_their_ends(whole, met)
+        assert found.velocities.tobytes() == scored.velocities.tobytes()
+        assert (found.cost, found.collides, found.gain) == (scored.cost, scored.collides, scored.gain)
+        without_weight = quick.costs > whole.costs.min() + MAX_EXCESS * temperature
+        assert ((quick.costs == whole.costs) | without_weight).all()
+
+
+def test_most_rollouts_that_explore_are_not_scored_to_their_end() -> None:
+    quick, whole = (Mppi(MppiConfig(polish=1.0), LIMITS) for _ in range(2))
+    met = scene(clutter(3, 0.003), v=0.5)
+    quick.solve(met, SHAPE, 0)
+    _scored_to_their_ends(whole, met)
+    assert np.mean(quick.costs < whole.costs) > 0.5
+
+
+def _scored_to_their_ends(controller: Mppi, met: ControlScene) -> ControlSolution:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(mppi, "MAX_EXCESS", np.inf)  # for `_best_solution`; compiled code keeps the value
+        return controller.solve(met, SHAPE, 1)
+
+
 def test_after_a_reset_it_solves_as_if_new() -> None:
     met = scene(clutter(3, 0.003))
-    mppi = Mppi(MppiConfig(), LIMITS)
-    first = mppi.solve(met, SHAPE, 0).velocities
-    mppi.solve(met, SHAPE, 1)
-    mppi.reset()
-    assert_array_equal(mppi.solve(met, SHAPE, 0).velocities, first)
+    controller = Mppi(MppiConfig(), LIMITS)
+    first = controller.solve(met, SHAPE, 0).velocities
+    controller.solve(met, SHAPE, 1)
+    controller.reset()
+    assert_array_equal(controller.solve(met, SHAPE, 0).velocities, first)
 
 
 def test_without_leave_to_reverse_it_never_does() -> None:
