@@ -39,7 +39,6 @@ from shared.settings import Configuration
 from shared.stamps import supersedes
 from shared.topics import Topic
 
-PERIOD_NS = 50_000_000  # after which the velocity is decided on again without a new command
 MAX_ODOM_AGE_S = 1.0  # after its stamp; late odometry still gives the pose of earlier beams
 
 
@@ -89,12 +88,16 @@ class GuardService(Service):
     @on(topics.CMD_NAV)
     def command_nav(self, command: Velocity) -> Out:
         """Takes a command of navigation."""
-        return self._take_command(topics.CMD_NAV, command, self.inputs.nav)
+        source = self.inputs.nav
+        if self._is_usable(topics.CMD_NAV, command, source) and source.accept(command, self.now):
+            yield from self.drive()
 
     @on(topics.TELEOP)
     def command_teleop(self, command: Velocity) -> Out:
         """Takes a command of teleoperation."""
-        return self._take_command(topics.TELEOP, command, self.inputs.teleop)
+        source = self.inputs.teleop
+        if self._is_usable(topics.TELEOP, command, source) and source.accept(command, self.now):
+            yield from self.drive()
 
     @on(topics.ESTOP)
     def estop(self, stop: EmergencyStop) -> Out:
@@ -203,10 +206,6 @@ class GuardService(Service):
             yield from self.drive()
 
     @every(hz=20)
-    def drive_again(self) -> Out:
-        """Decides on the velocity where no command or stop did in the last period."""
-        return () if 0 <= self.now - self.limiter.sent_at < PERIOD_NS else self.drive()
-
     def drive(self) -> Out:
         """Decides on the velocity and publishes it."""
         self.decision = self._evaluate()
@@ -224,13 +223,13 @@ class GuardService(Service):
         self.published = decision.state, decision.source, decision.reason
         yield topics.GUARD(decision.status(self.now, self.stopped_at))
 
-    def _take_command(self, topic: Topic[Velocity], command: Velocity, source: CommandSource) -> Out:
-        """Takes a command with a recent stamp that is newer than the last one's, and obeys it at once."""
+    def _is_usable(self, topic: Topic[Velocity], command: Velocity, source: CommandSource) -> bool:
+        """Whether a command's stamp is newer than the last one's and recent."""
         last, age = source.command.stamp if source.command else None, self.config.arbitration.command_age
-        if not self.rejections.judge(topic.key, command.stamp, last, self.now, age):
+        is_usable = self.rejections.judge(topic.key, command.stamp, last, self.now, age)
+        if not is_usable:
             source.heard(command, self.now)
-        elif source.accept(command, self.now):
-            yield from self.drive()
+        return is_usable
 
     def _evaluate(self) -> GuardDecision:
         """The decision at `self.now`: a stop, or the active source's command within limits and field."""

@@ -70,10 +70,6 @@ class GuardDrive:
         return next((message for key, message in reversed(self.out) if key == topic.key), None)
 
     @property
-    def sent(self):
-        return [message for key, message in self.out if key == topics.CMD_VEL.key]
-
-    @property
     def velocity(self):
         message = self.last(topics.CMD_VEL)
         return message.v, message.w
@@ -163,7 +159,7 @@ class GuardDrive:
             if k % 2 == 0:
                 self.call(self.guard.watch())
             if k % 5 == 0:
-                self.call(self.guard.drive_again())
+                self.call(self.guard.drive())
             if k % 10 == 0:
                 self.call(self.guard.publish_status())
             self.guard.now += 10 * MS
@@ -199,33 +195,13 @@ def test_nav_drives_the_robot():
     assert drive.last(topics.CMD_VEL).stamp > drive.now - 50 * MS
 
 
-def test_one_velocity_a_command_and_one_a_period_without():
-    drive = driving()
-    sent = len(drive.sent)
-    drive.run(1.0)
-    assert len(drive.sent) - sent == 20  # as many as commands
-    drive.nav = None
-    drive.run(1.0)
-    gaps = np.diff([velocity.stamp for velocity in drive.sent[sent:]])
-    assert gaps.max() < 100 * MS  # half of the time for which the base obeys a velocity
-
-
-def test_a_wall_between_two_rare_commands_slows_the_robot_down():
-    drive = driving()
-    drive.nav = None
-    drive.command(0.5)
-    drive.obstacles = drive.odom_from_base @ wall(0.45)
-    drive.run(0.12)
-    assert drive.velocity[0] < 0.5
-
-
 def test_commands_pass_at_once_and_at_least_twenty_times_a_second():
     drive = driving()
     assert topics.CMD_VEL.key in [key for key, _ in drive.command(0.5)]
-    before = len(drive.out)
+    drive.out.clear()
     drive.run(1.0)
-    assert 20 <= len([1 for key, _ in drive.out[before:] if key == topics.CMD_VEL.key]) <= 50
-    assert 10 <= len([1 for key, _ in drive.out[before:] if key == topics.GUARD.key]) <= 20
+    assert 20 <= len([1 for key, _ in drive.out if key == topics.CMD_VEL.key]) <= 50
+    assert 10 <= len([1 for key, _ in drive.out if key == topics.GUARD.key]) <= 20
 
 
 def test_speed_rises_and_falls_within_the_robot_s_accelerations():
