@@ -168,7 +168,7 @@ class Slam:
             local_from_last = back_end.map_from_local.inverse() @ back_end.graph.pose(int(back_end.graph.nodes[-1]))
         motion = local_from_last.inverse() @ front_end.dead_reckoned
         back_end.begin_part(OdometryGap(motion, front_end.unmatched.path, front_end.unmatched.turn))
-        front_end.start(front_end.dead_reckoned)
+        front_end.start_after_misfits()
         self._end_part_search()
         self.part_fit, self.lost = 1.0, UnmatchedMotion()
         yield Log("WARNING", "scans do not fit: going on by odometry in a new part of the map")

@@ -144,6 +144,11 @@ class FrontEnd:
         self.dynamic_points.reset()
         self.tracking.reset()
 
+    def start_after_misfits(self) -> None:
+        """Begins an empty submap where odometry leads: the scans fit nothing, so their matches are doubtful."""
+        self.start(self.dead_reckoned)
+        self.odometry_error.match_error.doubt()
+
     def load(self, grid: OccupancyGrid, update: MapUpdate, map_from_base: Pose2) -> None:
         """Begins on a saved map without keyframes, near a pose: `local` is its frame. grid: the cells of the update."""
         self.start(map_from_base)

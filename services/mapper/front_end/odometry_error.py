@@ -6,6 +6,7 @@ from math import hypot, inf, sqrt
 
 import numpy as np
 
+from services.mapper.front_end.match_error import MatchError
 from services.mapper.front_end.registration import Prior, RegistrationConfig
 from services.mapper.front_end.slip import TURN_PER_M
 from shared.geometry import Pose2
@@ -112,6 +113,7 @@ class OdometryError:
         self.forward_scale, self.turn_scale = ScaleEstimate(0.05), ScaleEstimate(0.004)
         self.jitter, self.turn_jitter = JitterEstimate(self.variance), JitterEstimate(self.turn_variance)
         self.mean_comparison_s = COMPARISON_S
+        self.match_error = MatchError()
         self._reset_scale_sums()
         self.last_path = self.last_turn = 0.0  # m, rad: the last motion by a match
         self.recent_steps: deque[tuple[float, float, float]] = deque(maxlen=N_EVENNESS_STEPS)  # s, m, rad
@@ -139,6 +141,7 @@ class OdometryError:
         information: (3, 3) of the match. A match that leaves a direction open starts the comparison again.
         """
         self.last_path, self.last_turn = hypot(motion.x, motion.y), abs(motion.yaw)
+        self.match_error.add(self.scaled_step(step), motion)
         if float(np.linalg.eigvalsh(information[:2, :2])[0]) < 1 / MAX_MATCH_SIGMA_M**2:
             self.by_odometry, self.by_match, self.seconds = Pose2(), Pose2(), 0.0
             self.jitter.last = self.turn_jitter.last = None
@@ -154,9 +157,11 @@ class OdometryError:
         self.mean_comparison_s += LEARNING_RATE * (self.seconds - self.mean_comparison_s)
         self.by_odometry, self.by_match, self.seconds = Pose2(), Pose2(), 0.0
         off = self.scaled_step(step).inverse() @ motion
-        bound = MAX_SQUARED_RATIO if seconds <= MAX_JITTER_S else inf
-        self.variance += LEARNING_RATE * (min(off.x**2 + off.y**2, bound * self.variance) - self.variance)
-        self.turn_variance += LEARNING_RATE * (min(off.yaw**2, bound * self.turn_variance) - self.turn_variance)
+        bound, matches = MAX_SQUARED_RATIO if seconds <= MAX_JITTER_S else inf, self.match_error
+        squared = min(off.x**2 + off.y**2, bound * self.variance) - 2 * matches.variance  # both ends of the motion err
+        squared_turn = min(off.yaw**2, bound * self.turn_variance) - 2 * matches.turn_variance
+        self.variance += LEARNING_RATE * (max(squared, 0.0) - self.variance)
+        self.turn_variance += LEARNING_RATE * (max(squared_turn, 0.0) - self.turn_variance)
         self._add_to_scale(step, motion)
 
     def _add_to_scale(self, step: Pose2, motion: Pose2) -> None:
@@ -197,9 +202,12 @@ class OdometryError:
         path, turn = max(hypot(step.x, step.y), self.last_path), max(abs(step.yaw), self.last_turn)
         max_sigma = MAX_STANDING_SIGMA + MAX_SIGMA_SHARE * path
         max_turn_sigma = MAX_STANDING_SIGMA + MAX_SIGMA_SHARE * turn + TURN_PER_M * path
+        by_error, by_turn_error = trust * sqrt(self.variance), trust * sqrt(self.turn_variance)
         return Prior(
-            before @ step,
-            sigma_factor * (max(min_sigma, min(trust * sqrt(self.variance), max_sigma)) + uneven),
-            sigma_factor * (max(min_turn_sigma, min(trust * sqrt(self.turn_variance), max_turn_sigma)) + uneven_turn),
-            skew,
+            map_from_base=before @ step,
+            sigma=sigma_factor * (max(min_sigma, min(by_error, max_sigma)) + uneven),
+            sigma_turn=sigma_factor * (max(min_turn_sigma, min(by_turn_error, max_turn_sigma)) + uneven_turn),
+            skew=skew,
+            match_variance=self.match_error.variance,
+            match_turn_variance=self.match_error.turn_variance,
         )

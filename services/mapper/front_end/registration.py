@@ -46,6 +46,7 @@ class RegistrationConfig(Section):
 
 
 MIN_DIRECTION_SHARE = 0.06  # of the information; less is noise of the normals, and clutter
+MIN_MATCH_VARIANCE = 1e-9  # m^2, rad^2; less changes nothing
 TWIST_SIGMA_RAD = 0.006  # of a sweep's twist about its share of the turn between two sweeps
 
 
@@ -70,12 +71,15 @@ class Prior:
     """The pose expected from odometry, with the standard deviations of the last step: sigma m, sigma_turn rad.
 
     skew: share of the step's time that the sweep took; 0 if registration shall not estimate the sweep's twist.
+    match_variance, match_turn_variance: m^2 and rad^2, of a match beyond what its beams claim; see `MatchError`.
     """
 
     map_from_base: Pose2
     sigma: float
     sigma_turn: float
     skew: float = 0.0
+    match_variance: float = 0.0
+    match_turn_variance: float = 0.0
 
 
 class LineRegistrar:
@@ -111,13 +115,15 @@ class LineRegistrar:
         c = self.config
         pose, twist = _align(
             points, normals, np.zeros(len(points)) if back is None else back, _row(start), _row(prior.map_from_base),
-            prior.sigma, prior.sigma_turn, 0.0 if back is None else prior.skew,
-            c.gate, c.final_gate, c.kernel, c.noise, c.iterations, *self.map.index,
+            prior.sigma, prior.sigma_turn, prior.match_variance, prior.match_turn_variance,
+            0.0 if back is None else prior.skew, c.gate, c.final_gate, c.kernel, c.noise, c.iterations, *self.map.index,
         )  # fmt: skip
         if back is not None:
             points, normals = remove_twist(points, back, twist), remove_twist(normals, back, twist)
         match = self.evaluate(points, normals, Pose2(float(pose[0]), float(pose[1]), float(pose[2])))
-        return replace(match, twist=float(twist))
+        information = match.information.copy()
+        _widen(information, np.zeros(3), prior.match_variance, prior.match_turn_variance)
+        return replace(match, information=information, twist=float(twist))
 
     def evaluate(self, points: Float64s, normals: Float64s, pose: Pose2) -> Match:
         """The match of points (n, 2) m in `base` with normals (n, 2) at a pose that is not refined."""
@@ -211,8 +217,8 @@ def _normal_equations(  # type: ignore[no-untyped-def]  # compiled: numba finds 
 
 @njit(cache=True, nogil=True)
 def _align(  # type: ignore[no-untyped-def]  # compiled: numba finds the types; -> pose (3,), twist
-    source, directions, back, start, prior, sigma, sigma_turn, skew, gate, final_gate, kernel, noise, iterations,
-    points, following, keys, heads,
+    source, directions, back, start, prior, sigma, sigma_turn, match_variance, match_turn_variance, skew,
+    gate, final_gate, kernel, noise, iterations, points, following, keys, heads,
 ):  # fmt: skip
     pose, twist = start.copy(), 0.0
     hessian, gradient = np.zeros((4, 4)), np.zeros(4)
@@ -230,6 +236,7 @@ def _align(  # type: ignore[no-untyped-def]  # compiled: numba finds the types; 
         _damp_weak_direction(hessian, gradient)
         hessian *= scale
         gradient *= scale
+        _widen(hessian, gradient, match_variance, match_turn_variance)
         hessian[0, 0] += 1.0 / sigma**2
         hessian[1, 1] += 1.0 / sigma**2
         hessian[2, 2] += 1.0 / sigma_turn**2
@@ -265,6 +272,23 @@ def _eliminate_twist(hessian, gradient, skew, off, weight):  # type: ignore[no-u
         for b in range(3):
             hessian[a, b] -= hessian[a, 3] * hessian[b, 3] / own
         gradient[a] -= hessian[a, 3] * gradient[3] / own
+
+
+@njit(cache=True, nogil=True)
+def _widen(hessian, gradient, variance, turn_variance):  # type: ignore[no-untyped-def]  # compiled; (3, 3), (3,) in place
+    """Adds variances Q to the covariance of the beams: H becomes (H^-1 + Q)^-1, the position that they give stays.
+
+    It is H - H (H + Q^-1)^-1 H (Woodbury), which needs no inverse of H.
+    """
+    if variance < MIN_MATCH_VARIANCE and turn_variance < MIN_MATCH_VARIANCE:
+        return
+    beams = hessian[:3, :3].copy()
+    total = beams.copy()
+    for a in range(3):
+        total[a, a] += 1.0 / max(turn_variance if a == 2 else variance, MIN_MATCH_VARIANCE)
+    gradient[:3] -= beams @ _solve(total, gradient)
+    for a in range(3):
+        hessian[:3, a] -= beams @ _solve(total, beams[:, a])
 
 
 @njit(cache=True, nogil=True)

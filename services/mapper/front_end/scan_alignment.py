@@ -100,9 +100,9 @@ class ScanAligner:
             return ScoredMatch(submap.registrar.evaluate(sweep.points, sweep.normals, prior.map_from_base), 0)
         wide_prior = error.prior(self.registration, p.smoothed, p.step, WRONG_ODOMETRY_FACTOR * p.sigma_factor, p.skew)
         best = self.match(submap, sweep, prior.map_from_base, wide_prior if self.searches_next else prior)
-        # a scan of unknown space fits known ground at wrong poses only
-        is_new_ground = p.has_odometry and not best.is_informative
-        if not self.searches_next and (best.quality >= self.search.below or is_new_ground):
+        # a scan of unknown space fits known ground at wrong poses only, and one of plants fits anywhere
+        is_new_ground = not best.is_informative or error.match_error.exceeds(error.variance, error.turn_variance)
+        if not self.searches_next and (best.quality >= self.search.below or (p.has_odometry and is_new_ground)):
             return best
         odometry = wide_prior if p.has_odometry and not self.searches_next else None
         starts = [p.local_from_base @ p.motion, *guesses]
