@@ -45,12 +45,12 @@ class MapJobs:
     def add_keyframe(
         self, keyframe: Keyframe, match: Match, odometry: OdometryError, odometry_scale: float = 1.0
     ) -> Out:
-        """Adds a keyframe to the graph, and orders a search for constraints when due.
+        """Adds a keyframe to the graph, and orders a search for constraints when due, unless matches are doubtful now.
 
         Arguments as for `BackEnd.add_keyframe`.
         """
         self.back_end.add_keyframe(keyframe, match, odometry, odometry_scale)
-        if self.back_end.is_search_due and not self.is_searching:
+        if self.back_end.is_search_due and not self.is_searching and not odometry.match_error.is_doubtful:
             self.is_searching = True
             yield self._job(search_constraints, self.back_end.search_arguments(), "on_constraints", 0.05)
         yield from self._update_local_map()

@@ -21,6 +21,7 @@ LEARNING_RATE, FORGETTING_RATE = (
 )  # weight of the newest error that is larger, or smaller, than the learned ones
 TURN_ERROR = 0.02  # rad, of one match or of odometry between two scans
 DOUBTED_SIGMA = 0.07  # m and rad, of matches after scans that fit nothing
+DOUBTFUL_SIGMA = 0.05  # m and rad, from which matches close no loop
 MIN_DOUBT = 25.0  # variance of matches to that of odometry, over which no other pose is searched for
 
 
@@ -73,6 +74,11 @@ class MatchError:
         """After scans that fit nothing the next matches are doubtful, too."""
         for learned in (self._position, self._heading):
             learned.variance = max(learned.variance, DOUBTED_SIGMA**2)
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether a match may be so wrong that a loop closure would be, too."""
+        return max(self.variance, self.turn_variance) > DOUBTFUL_SIGMA**2
 
     def exceeds(self, variance: float, turn_variance: float) -> bool:
         """Whether matches err so much more than odometry, of these variances, that only odometry counts."""

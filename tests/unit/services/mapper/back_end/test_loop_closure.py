@@ -55,6 +55,7 @@ class DriftingRobot:
         self.true, self.local, self.now = START, Pose2(), 0
         self.true_at: dict[int, Pose2] = {}  # by stamp
         self.jobs, self.busy, self.drawings, self.around = [], False, [], None
+        self.odometry = OdometryError()
 
     def keyframe(self):
         origins, ends = sweep(self.segments, self.true, noise=0.01, seed=self.now // NS_PER_S)
@@ -66,7 +67,7 @@ class DriftingRobot:
 
     def stands(self):
         match = Match(self.local, SURE, np.ones(1, bool), 1.0)
-        self.take(self.map_jobs.add_keyframe(self.keyframe(), match, OdometryError()))
+        self.take(self.map_jobs.add_keyframe(self.keyframe(), match, self.odometry))
 
     def drives(self, motions):
         if not self.back_end.keyframes:
@@ -123,6 +124,17 @@ def test_a_loop_closes_and_takes_out_the_drift_of_the_whole_lap(round_once):
         rest = true.inverse() @ (Pose2(*poses[row]).inverse() @ Pose2(*poses[-1]))
         assert hypot(rest.x, rest.y) < 0.05
         assert abs(rest.yaw) < 0.025
+
+
+def test_matches_that_are_doubtful_close_no_loop():
+    robot, motions = DriftingRobot(), laps()
+    robot.odometry.match_error.doubt()
+    robot.drives(islice(motions, LAP + 20))
+    assert robot.back_end.n_loops == 0
+    robot.odometry = OdometryError()
+    robot.drives(islice(motions, 20))
+    assert robot.back_end.n_loops > 5
+    assert np.hypot(*robot.errors[:, :2].T).max() < 0.35
 
 
 def test_where_the_front_end_is_on_the_map_follows_the_newest_keyframe(round_once):

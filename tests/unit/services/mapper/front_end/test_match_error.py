@@ -36,6 +36,7 @@ def test_matches_that_jump_about_even_odometry_are_doubted(seed: int) -> None:
     assert 0.5 * 0.3 < np.sqrt(error.variance) < 4 * 0.3
     assert 0.5 * 0.1 < np.sqrt(error.turn_variance) < 4 * 0.1
     assert error.exceeds(0.02**2, 0.01**2)
+    assert error.is_doubtful
 
 
 @given(st.integers(0, 100))
@@ -58,6 +59,7 @@ def test_a_doubt_ends_where_matches_agree_again() -> None:
     error = learned([STEP] * 260, [*jumping(1, 60, 0.3, 0.1), *[STEP] * 200])
     assert np.sqrt(error.variance) < 0.1
     assert not error.exceeds(0.03**2, 0.02**2)
+    assert not learned([STEP] * 60, [STEP] * 60).is_doubtful
 
 
 @given(st.integers(0, 100))
