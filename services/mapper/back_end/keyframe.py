@@ -33,9 +33,7 @@ class Sweep:
 
     def without_twist(self, twist: float) -> "Sweep":
         """Returns the sweep de-skewed for a turn that is greater by `twist` rad."""
-        origins, points, normals = (
-            remove_twist(array, self.remaining, twist) for array in (self.origins, self.points, self.normals)
-        )
+        origins, points, normals = remove_twist(self.remaining, twist, self.origins, self.points, self.normals)
         return Sweep(origins, points, normals, self.remaining)
 
 

@@ -79,7 +79,7 @@ class Beams:
 
     def without_twist(self, twist: float) -> "Beams":
         """The beams de-skewed for a turn that is greater by `twist` rad in the first laser's sweep."""
-        origins, ends = (remove_twist(points, self.remaining, twist) for points in (self.origins, self.ends))
+        origins, ends = remove_twist(self.remaining, twist, self.origins, self.ends)
         return replace(self, origins=origins, ends=ends)
 
     def redeskewed(self, assumed: Pose2, actual: Pose2, share: float) -> "Beams":

@@ -49,16 +49,21 @@ def redeskew(points: Float64s, assumed: Pose2, actual: Pose2, remaining: Float64
     return np.column_stack((x1 + c * dx - s * dy, y1 + s * dx + c * dy))
 
 
-def remove_twist(points: Float64s, remaining: Float64s, twist: float) -> Float64s:
-    """Points or normals (n, 2) in `base` without the sweep's twist.
+def remove_twist(remaining: Float64s, twist: float, *arrays: Float64s) -> tuple[Float64s, ...]:
+    """Points or normals, arrays (n, 2) in `base`, without the sweep's twist.
 
     twist: rad that the robot turned during the sweep beyond the turn that de-skewing removed.
     remaining: (n,) share of the sweep that follows each beam: 1 for the first beam, 0 for the last.
     """
     if twist == 0:
-        return points
+        return arrays
     c, s = np.cos(remaining * twist), np.sin(remaining * twist)
-    return np.column_stack((c * points[:, 0] + s * points[:, 1], c * points[:, 1] - s * points[:, 0]))
+    turned = tuple(np.empty_like(array) for array in arrays)
+    for array, out in zip(arrays, turned):
+        x, y = array[:, 0], array[:, 1]
+        out[:, 0] = c * x + s * y
+        out[:, 1] = c * y - s * x
+    return turned
 
 
 @njit(cache=True, nogil=True)

@@ -62,7 +62,7 @@ class KissRegistrar(LineRegistrar):
         pose, twist = self._align(points, start, sigma), 0.0
         if back is not None and prior.skew > 0:
             twist = prior.skew * wrapped(pose.yaw - prior.map_from_base.yaw)
-            points, normals = remove_twist(points, back, twist), remove_twist(normals, back, twist)
+            points, normals = remove_twist(back, twist, points, normals)
             pose = self._align(points, pose, sigma)
         fused = _fuse(self.evaluate(points, normals, pose), prior)
         return replace(self.evaluate(points, normals, fused), twist=twist)

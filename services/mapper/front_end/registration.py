@@ -119,7 +119,7 @@ class LineRegistrar:
             0.0 if back is None else prior.skew, c.gate, c.final_gate, c.kernel, c.noise, c.iterations, *self.map.index,
         )  # fmt: skip
         if back is not None:
-            points, normals = remove_twist(points, back, twist), remove_twist(normals, back, twist)
+            points, normals = remove_twist(back, twist, points, normals)
         match = self.evaluate(points, normals, Pose2(float(pose[0]), float(pose[1]), float(pose[2])))
         information = match.information.copy()
         _widen(information, np.zeros(3), prior.match_variance, prior.match_turn_variance)

@@ -54,7 +54,7 @@ def test_the_twist_that_odometry_missed_is_estimated_from_the_shape_of_the_sweep
     """De-skewed as if the robot had turned by `twist` rad less during the sweep: its first beams are off the most."""
     origins, ends = sweep(ROOM, Pose2(0.1, -0.05, yaw), noise=0.01, seed=seed)
     back = np.linspace(1, 0, len(ends))
-    ends = remove_twist(ends, back, -twist)
+    (ends,) = remove_twist(back, -twist, ends)
     normals = sweep_normals(origins, ends)
     seen = ~np.isnan(ends[:, 0])
     prior = Prior(Pose2(0.1, -0.05, yaw - twist), 0.05, 0.1, skew=1.0)
@@ -183,7 +183,7 @@ def test_the_twist_of_kiss_is_the_sweeps_share_of_the_turn_that_odometry_missed(
     registrar = mapped(ROOM, "kiss", (Pose2(), Pose2(1, 0, 0), Pose2(-1, 1, 0), Pose2(0, -1, 0)))
     origins, ends = sweep(ROOM, Pose2(0.1, -0.05, 0.05), noise=0.01)
     back = np.linspace(1, 0, len(ends))
-    ends = remove_twist(ends, back, -twist)
+    (ends,) = remove_twist(back, -twist, ends)
     normals = sweep_normals(origins, ends)
     seen = ~np.isnan(ends[:, 0])
     prior = Prior(Pose2(0.1, -0.05, 0.05 - twist), 0.05, 0.1, skew=1.0)
