@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
 from math import hypot
 
 import numpy as np
@@ -151,6 +152,21 @@ def test_kiss_believes_odometry_as_far_as_it_is_doubted():
     assert found[0] > 0.09
     assert found[0] > found[1] > found[2]
     assert abs(found[2]) < 0.03
+
+
+@pytest.mark.parametrize("kind", ["line", "kiss"])
+def test_a_match_counts_as_little_as_it_is_doubted(kind):
+    registrar = mapped(ROOM, kind)
+    points, normals = points_at(ROOM, START @ Pose2(0.1, 0.0, 0.0))
+    certain = Prior(START, 0.02, 0.01)
+    doubted = replace(certain, match_variance=0.1**2, match_turn_variance=0.05**2)
+    matches = [registrar.register(points, normals, START, prior) for prior in (certain, doubted)]
+    offs = [START.distance(match.map_from_base) for match in matches]
+    assert offs[0] > 0.08
+    assert offs[1] < 0.02  # odometry's 2 cm against 10 cm
+    sigmas = [np.sqrt(np.diag(np.linalg.inv(match.information))) for match in matches]
+    assert (sigmas[0] < 0.02).all()
+    assert (sigmas[1] >= (0.1, 0.1, 0.05)).all()
 
 
 def test_kiss_searches_within_the_sigma_of_odometry():
