@@ -50,13 +50,13 @@ class MatchError:
 
     @property
     def variance(self) -> float:
-        """m^2, of the position of a match."""
-        return self._position.variance
+        """m^2, of the position of a match, beyond the errors that any match may have."""
+        return max(0.0, self._position.variance - LAG_ERROR**2)
 
     @property
     def turn_variance(self) -> float:
-        """rad^2, of its heading."""
-        return self._heading.variance
+        """rad^2, of its heading, in the same way."""
+        return max(0.0, self._heading.variance - TURN_ERROR**2)
 
     def add(self, step: Pose2, motion: Pose2) -> None:
         """Adds the same motion by odometry, at its scale, and by a match, both in `base` before it."""

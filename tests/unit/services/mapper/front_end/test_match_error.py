@@ -63,6 +63,15 @@ def test_a_doubt_ends_where_matches_agree_again() -> None:
 
 
 @given(st.integers(0, 100))
+def test_one_small_difference_changes_nothing(seed: int) -> None:
+    """The fault: a turn on the spot with 7 cm of drift, and odometry's errors were not learned for 50 scans."""
+    place = seed % 50
+    motions = [STEP] * place + [Pose2(STEP.x, 0.07, 0.0)] + [STEP] * 50
+    error = learned([STEP] * len(motions), motions)
+    assert error.variance == error.turn_variance == 0
+
+
+@given(st.integers(0, 100))
 def test_wheels_that_slip_now_and_then_raise_no_doubt(seed: int) -> None:
     shares = np.random.default_rng(seed).uniform(0, 1, 60)
     assert learned([STEP] * 60, [Pose2(0.2 * share, 0.0, 0.0) for share in shares]).variance == 0
@@ -95,7 +104,8 @@ def test_after_scans_that_fit_nothing_the_next_are_doubted() -> None:
     error = MatchError()
     error.add(STEP, STEP)
     error.doubt()
-    assert error.variance == error.turn_variance == DOUBTED_SIGMA**2
+    assert min(error.variance, error.turn_variance) > 0.5 * DOUBTED_SIGMA**2
+    assert max(error.variance, error.turn_variance) < DOUBTED_SIGMA**2
     strong = learned([STEP] * 60, jumping(1, 60, 0.3, 0.1))
     before = strong.variance
     strong.doubt()
