@@ -7,7 +7,7 @@ from math import cos, pi, sin
 import numpy as np
 
 from services.mapper.front_end.deskew import remove_twist
-from services.mapper.front_end.registration import LineRegistrar, Match, Prior, RegistrationConfig, widened
+from services.mapper.front_end.registration import LineRegistrar, Match, Prior, RegistrationConfig
 from shared.config import UserError
 from shared.geometry import Pose2, wrapped
 from shared.types import Bools, Float64s
@@ -64,8 +64,8 @@ class KissRegistrar(LineRegistrar):
             twist = prior.skew * wrapped(pose.yaw - prior.map_from_base.yaw)
             points, normals = remove_twist(back, twist, points, normals)
             pose = self._align(points, pose, sigma)
-        fused = _fuse(widened(self.evaluate(points, normals, pose), prior), prior)
-        return replace(widened(self.evaluate(points, normals, fused), prior), twist=twist)
+        fused = _fuse(self.evaluate(points, normals, pose), prior)
+        return replace(self.evaluate(points, normals, fused), twist=twist)
 
     def threshold(self, prior: Prior) -> float:
         """m, scale of the kernel and a third of the maximum distance: the error of the prior at the laser's range."""

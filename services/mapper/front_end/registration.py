@@ -121,7 +121,9 @@ class LineRegistrar:
         if back is not None:
             points, normals = remove_twist(back, twist, points, normals)
         match = self.evaluate(points, normals, Pose2(float(pose[0]), float(pose[1]), float(pose[2])))
-        return replace(widened(match, prior), twist=float(twist))
+        information = match.information.copy()
+        _widen(information, np.zeros(3), prior.match_variance, prior.match_turn_variance)
+        return replace(match, information=information, twist=float(twist))
 
     def evaluate(self, points: Float64s, normals: Float64s, pose: Pose2) -> Match:
         """The match of points (n, 2) m in `base` with normals (n, 2) at a pose that is not refined."""
@@ -136,13 +138,6 @@ class LineRegistrar:
         own, own_normals = points[match.inliers], normals[match.inliers]
         pose, gate = _row(match.map_from_base), self.config.final_gate
         return np.asarray(_correspondences(own, own_normals, pose, gate, *self.map.index))
-
-
-def widened(match: Match, prior: Prior) -> Match:
-    """The match with the prior's variances of matches added to its covariance."""
-    information = match.information.copy()
-    _widen(information, np.zeros(3), prior.match_variance, prior.match_turn_variance)
-    return replace(match, information=information)
 
 
 def _row(pose: Pose2) -> Float64s:

@@ -154,9 +154,8 @@ def test_kiss_believes_odometry_as_far_as_it_is_doubted():
     assert abs(found[2]) < 0.03
 
 
-@pytest.mark.parametrize("kind", ["line", "kiss"])
-def test_a_match_counts_as_little_as_it_is_doubted(kind):
-    registrar = mapped(ROOM, kind)
+def test_a_match_counts_as_little_as_it_is_doubted():
+    registrar = mapped(ROOM)
     points, normals = points_at(ROOM, START @ Pose2(0.1, 0.0, 0.0))
     certain = Prior(START, 0.02, 0.01)
     doubted = replace(certain, match_variance=0.1**2, match_turn_variance=0.05**2)
