@@ -255,7 +255,6 @@ def _evaluate(
     field, occupied, to_go_field, circles = scene.field, scene.occupied, scene.to_go, footprint.circles
     inscribed, circumscribed, padding = footprint.inscribed, footprint.circumscribed, footprint.padding
     motion, to_gos = np.empty((steps, 6)), np.empty(steps)
-    # farther from the end, its distance costs the most, and no speed is too high to stop there
     fastest = max(limits.v_max, -limits.v_min, abs(scene.v))
     far_away = 1.001 * max(END_DISTANCE_M, fastest * fastest / (2.0 * APPROACH_BRAKING_SHARE * limits.braking))
     most = inf
@@ -311,17 +310,24 @@ def _evaluate(
             to_go = to_gos[t]
             mean_to_go += to_go
             if scene.ends:
-                dx, dy = scene.end_x - x, scene.end_y - y
-                if dx * dx + dy * dy > far_away * far_away:
-                    cost += weights.goal * END_DISTANCE_M / steps
-                else:
-                    away = hypot(dx, dy)
-                    over = max(0.0, abs(v) - sqrt(2.0 * APPROACH_BRAKING_SHARE * limits.braking * away))
-                    cost += weights.goal * min(away, END_DISTANCE_M) / steps + DT * weights.overspeed * over * over
+                cost += _end_cost(scene.end_x - x, scene.end_y - y, v, far_away, steps, limits, weights)
         costs[k] = cost + weights.progress * to_go + weights.haste * mean_to_go / steps
         if costs[k] + excess < min(most, 0.5 * weights.collision):
             most = costs[k] + excess
         gains[k] = first - to_go
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _end_cost(dx: float, dy: float, v: float, far_away: float, steps: int, limits: Limits, weights: Weights) -> float:
+    """The cost, m, of one of `steps` at a speed of v m/s, (dx, dy) m from the end; see `goal` and `overspeed`.
+
+    far_away: m, from which the distance costs the most, and no speed is too high to stop there.
+    """
+    if dx * dx + dy * dy > far_away * far_away:
+        return weights.goal * END_DISTANCE_M / steps
+    away = hypot(dx, dy)
+    over = max(0.0, abs(v) - sqrt(2.0 * APPROACH_BRAKING_SHARE * limits.braking * away))
+    return weights.goal * min(away, END_DISTANCE_M) / steps + DT * weights.overspeed * over * over
 
 
 @njit(cache=True, nogil=True)

@@ -15,10 +15,8 @@ from shared.geometry import Pose2
 
 MIN_CHANGE_RATIO = 4.0  # squared changes of the matches' motion to those of odometry's, over which matches are erratic
 CHANGE_RATE = 0.1  # weight of the newest change of a motion
-LEARNING_RATE, FORGETTING_RATE = (
-    0.1,
-    0.02,
-)  # weight of the newest error that is larger, or smaller, than the learned ones
+LEARNING_RATE = 0.1  # weight of the newest error that is larger than the learned ones
+FORGETTING_RATE = 0.02  # the same of a smaller one
 TURN_ERROR = 0.02  # rad, of one match or of odometry between two scans
 DOUBTED_SIGMA = 0.07  # m and rad, of matches after scans that fit nothing
 DOUBTFUL_SIGMA = 0.05  # m and rad, from which matches close no loop

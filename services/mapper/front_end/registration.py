@@ -278,7 +278,8 @@ def _eliminate_twist(hessian, gradient, skew, off, weight):  # type: ignore[no-u
 def _widen(hessian, gradient, variance, turn_variance):  # type: ignore[no-untyped-def]  # compiled; (3, 3), (3,) in place
     """Adds variances Q to the covariance of the beams: H becomes (H^-1 + Q)^-1, the position that they give stays.
 
-    It is H - H (H + Q^-1)^-1 H (Woodbury), which needs no inverse of H.
+    It is H - H (H + Q^-1)^-1 H (Woodbury), which needs no inverse of H. For `@` in place of loops numba
+    would load scipy, while the robot drives.
     """
     if variance < MIN_MATCH_VARIANCE and turn_variance < MIN_MATCH_VARIANCE:
         return
@@ -286,9 +287,14 @@ def _widen(hessian, gradient, variance, turn_variance):  # type: ignore[no-untyp
     total = beams.copy()
     for a in range(3):
         total[a, a] += 1.0 / max(turn_variance if a == 2 else variance, MIN_MATCH_VARIANCE)
-    gradient[:3] -= beams @ _solve(total, gradient)
-    for a in range(3):
-        hessian[:3, a] -= beams @ _solve(total, beams[:, a])
+    for column in range(4):
+        solved = _solve(total, gradient if column == 3 else beams[column])  # H is symmetric
+        for a in range(3):
+            less = beams[a, 0] * solved[0] + beams[a, 1] * solved[1] + beams[a, 2] * solved[2]
+            if column == 3:
+                gradient[a] -= less
+            else:
+                hessian[a, column] -= less
 
 
 @njit(cache=True, nogil=True)
