@@ -11,10 +11,18 @@ from typing import Any
 import numpy as np
 
 from services.mapper.back_end.config import BackEndConfig
+from services.mapper.back_end.constraint_search import ConstraintSearch
+from services.mapper.back_end.far_closures import FarClosures, FarSearch
 from services.mapper.back_end.keyframe import NO_COVARIANCE, Keyframe, mean_map_from_local
 from services.mapper.back_end.keyframe_pruning import redundant_keyframe
 from services.mapper.back_end.local_map import MARGIN_M, LocalMap, LocalMapContent
-from services.mapper.back_end.loop_closure import Constraint, LoopClosureConfig, SubmapCache, information_in_own_frame
+from services.mapper.back_end.loop_closure import (
+    Constraint,
+    LoopClosureConfig,
+    SubmapCache,
+    existing,
+    information_in_own_frame,
+)
 from services.mapper.back_end.map_parts import OdometryGap, find_joint, gap_information, joined_nodes
 from services.mapper.back_end.pose_graph import Graph, OptimizationResult, PoseGraph, fixed_graph
 from services.mapper.back_end.solver.optimize import PoseGraphConfig
@@ -70,9 +78,8 @@ class BackEnd:
         self.first_node = 0  # name of the first node of this session
         self.first_new_node = 0  # name of the first node that is not from a saved map
         # constraints
-        self.searched_at = 0.0  # m driven, at the last search for closures
+        self.search = ConstraintSearch()
         self.closed_at = 0.0  # m driven, at the last closure
-        self.last_searched = -1  # name of the newest node whose pairwise constraints were searched
         self.n_loops = 0
         self.n_pending_closures = 0  # since the last optimization
         self.n_pending_pairwise = 0
@@ -104,7 +111,7 @@ class BackEnd:
 
     def _begin_session(self) -> None:
         """Reserves node names, so that no cached submap holds keyframes of two sessions."""
-        self.content = None
+        self.content, self.search.far_closures = None, FarClosures()
         block_size = self.closure_config.block_size
         blocks = int(self.graph.nodes[-1]) // block_size if len(self.graph.nodes) else 0
         self.first_node = (blocks + 4) * block_size
@@ -209,26 +216,28 @@ class BackEnd:
         self.graph.remove_node(int(self.graph.nodes[row]))
         del self.keyframes[row], self.driven[row]
 
-    @property
-    def is_search_due(self) -> bool:
-        """Whether to search for closures at the newest keyframe."""
-        interval = self.closure_config.search_interval
-        return len(self.keyframes) > 1 and self.driven[-1] - self.searched_at >= interval
-
     def search_arguments(self) -> tuple[Any, ...]:
         """Returns the arguments of `search_constraints`, for the keyframes since the last call."""
-        self.searched_at = self.driven[-1]
-        newest = int(self.graph.nodes[-1])
-        last_searched = newest if self.is_fixed else max(self.last_searched, self.first_node - 1)
-        self.last_searched = newest
         return (
             self.graph.snapshot(), tuple(self.keyframes), np.array(self.driven), self.submaps, self.closure_config,
-            last_searched, self._settings[0], self.config.pairwise,
+            self._settings[0], self.config.pairwise,
+            self.search.next_order(self.graph, self.driven, self.first_node, self.is_fixed, self.is_joined),
         )  # fmt: skip
+
+    def add_far(self, found: FarSearch) -> None:
+        """Adds the result of a search for far closures: they count, and join a part, once enough of them agree."""
+        if not (closures := self.search.far_closures.add(found, self.graph)):
+            return
+        self.search.search_again(self.graph.snapshot(), self.driven, self.gap_edges, self.closed_at)
+        joining = [c for c in closures if c.i < self.first_node]
+        if joining and not self.is_joined:
+            newest, c = self.graph.pose(int(self.graph.nodes[-1])), joining[-1]
+            self._join_part(self.graph.pose(c.i) @ c.i_from_j @ self.graph.pose(c.j).inverse() @ newest)
+        self.add_closures(closures)
 
     def add_closures(self, closures: Sequence[Constraint]) -> None:
         """Adds loop closures. Those of an unjoined part wait until enough of them agree."""
-        closures = self._existing(closures)
+        closures = existing(self.graph, closures)
         if not self.is_joined:
             closures = [*(c for c in closures if c.i >= self.first_node), *self._joining_closures(closures)]
         for closure in closures:
@@ -249,7 +258,7 @@ class BackEnd:
     def _joining_closures(self, closures: Sequence[Constraint]) -> list[Constraint]:
         """Returns the closures that join the present part to the rest, once enough agree, and moves the part there."""
         new = (c for c in closures if c.i < self.first_node <= c.j)
-        self.joint_candidates = self._existing([*self.joint_candidates, *new])
+        self.joint_candidates = existing(self.graph, [*self.joint_candidates, *new])
         newest = self.graph.pose(int(self.graph.nodes[-1]))
         joint = find_joint(self.graph, self.joint_candidates, newest, self.part_gap)
         if joint is None:
@@ -281,15 +290,10 @@ class BackEnd:
 
     def add_pairwise(self, constraints: Sequence[Constraint]) -> None:
         """Adds pairwise constraints: small corrections, for the next optimization."""
-        constraints = self._existing(constraints)
+        constraints = existing(self.graph, constraints)
         self.n_pending_pairwise += len(constraints)
         for constraint in constraints:
             self.graph.add_edge(constraint.i, constraint.j, constraint.i_from_j, constraint.information, loop=True)
-
-    def _existing(self, constraints: Sequence[Constraint]) -> list[Constraint]:
-        """The constraints whose nodes were not removed since the search."""
-        nodes = set(self.graph.nodes.tolist())
-        return [constraint for constraint in constraints if constraint.i in nodes and constraint.j in nodes]
 
     @property
     def needs_optimization(self) -> bool:

@@ -10,25 +10,26 @@ The pose graph's robust kernel rejects closures that contradict the others.
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from math import pi, sqrt
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 from pydantic import Field
 
-from services.mapper.back_end.branch_and_bound import BranchAndBoundConfig, Pyramid, build_pyramid, search
+from services.mapper.back_end.branch_and_bound import BranchAndBoundConfig, Pyramid, build_pyramid, search_counted
 from services.mapper.back_end.keyframe import Keyframe
-from services.mapper.back_end.pose_graph import Graph, pose_of, rotate_matrix
+from services.mapper.back_end.pose_graph import Graph, PoseGraph, pose_of, rotate_matrix
 from services.mapper.front_end.registration import Match, Prior, RegistrationConfig
 from services.mapper.front_end.submap import Submap
 from services.mapper.front_end.tracking_result import MIN_BEAMS
 from services.mapper.grid.occupancy import OccupancyConfig
 from shared.config import Section
 from shared.geometry import Pose2, wrapped
-from shared.types import Float64s, Int64s
+from shared.types import Bools, Float64s, Int64s
 
 WEAK_INFORMATION = 1e-2 * np.eye(3)
 """Information of an unknown pose: standard deviations of 10 m and 10 rad."""
 GRAPH_SHARE = 1.5  # memory of the graph that grows, by doubling, as a share of its snapshot's
+MIN_SIGMA_TURN_RAD, MIN_TURN_RAD, MAX_TURN_RAD = 0.03, 0.1, 0.5  # of a window about a guess
 MIN_RIVAL_M, MIN_RIVAL_RAD = 0.3, 0.2  # distance from the best pose from which another pose is a rival
 
 
@@ -53,6 +54,10 @@ class LoopClosureConfig(Section):
     window_sigmas: float = Field(2.0, ge=0.5, le=6, description="standard deviations about the guess that are searched")
     min_window: float = Field(1.5, ge=0.1, le=30, description="m about the guess that are searched, at least")
     max_window: float = Field(3.0, ge=0.3, le=30, description="m about the guess that are searched, at most")
+    max_drift_ratio: float = Field(
+        0.03, ge=0, le=0.2,
+        description="m of drift per m of path for which places beyond that are searched too; 0 searches none",
+    )  # fmt: skip
     min_inlier_ratio: float = Field(0.65, ge=0, le=1, description="minimum share of the beams that agree")
     min_inlier_margin: float = Field(
         0.55, ge=0, le=1, description="minimum of agreeing beams less contradicting ones, as a share of all"
@@ -74,6 +79,12 @@ class Constraint:
     j: int
     i_from_j: Pose2
     information: Float64s
+
+
+def existing(graph: PoseGraph, constraints: Sequence[Constraint]) -> list[Constraint]:
+    """Returns the constraints whose nodes were not removed since the search."""
+    nodes = set(graph.nodes.tolist())
+    return [constraint for constraint in constraints if constraint.i in nodes and constraint.j in nodes]
 
 
 class SubmapCache:
@@ -134,30 +145,48 @@ def find_loop_closures(
     driven: Float64s,
     submaps: SubmapCache,
     config: LoopClosureConfig,
+    part: int = 0,
 ) -> list[Constraint]:
     """Returns the loop closures of the newest keyframe, one for each earlier visit at most.
 
+    part: name of the first node of a part that only odometry joins to the nodes before. Of these, the ones that are
+    beyond the widest window are left out.
     covariances: (n, 3, 3) of the nodes relative to the newest.
     keyframes, driven: (n,) of the graph's nodes; driven is the path length up to each, m.
     """
     last = len(graph.nodes) - 1
     closures = []
-    for row in earlier_visits(graph.poses, covariances, driven, config) if config.enabled else ():
+    is_left_out = (graph.nodes < part) & is_beyond_window(covariances, driven, config)
+    for row in earlier_visits(graph.poses, covariances, driven, config, is_left_out) if config.enabled else ():
         closure = match_loop_closure(graph, keyframes, row, last, covariances[row], submaps, config)
         if closure is not None:
             closures.append(closure)
     return closures
 
 
-def earlier_visits(poses: Float64s, covariances: Float64s, driven: Float64s, config: LoopClosureConfig) -> list[int]:
+def is_beyond_window(covariances: Float64s, driven: Float64s, config: LoopClosureConfig) -> Bools:
+    """Returns (n,) whether a node is of an earlier visit, and the widest window does not cover its drift.
+
+    far_closures.py searches them. Nodes that no edge joins to the last one are not among them.
+    covariances: (n, 3, 3) relative to the last node.  driven: (n,) m.
+    """
+    reach = config.window_sigmas * np.sqrt(np.maximum(covariances[:, 0, 0], covariances[:, 1, 1]))
+    is_earlier = driven[-1] - driven > config.min_path_between
+    return np.asarray(is_earlier & (reach > config.max_window) & np.isfinite(reach) & (config.max_drift_ratio > 0))
+
+
+def earlier_visits(
+    poses: Float64s, covariances: Float64s, driven: Float64s, config: LoopClosureConfig, is_left_out: Bools
+) -> list[int]:
     """Returns rows of the nodes, one for each visit, that the last node may be near; most certain and nearest first.
 
     poses: (n, 3) m, m, rad in `map`.  covariances: (n, 3, 3) relative to the last node.  driven: (n,) m.
+    is_left_out: (n,).
     """
     distance = np.hypot(*(poses[:, :2] - poses[-1, :2]).T)
     sigma = np.sqrt(np.maximum(covariances[:, 0, 0], covariances[:, 1, 1]))
     reach = np.minimum(config.window_sigmas * sigma, config.max_window)
-    is_earlier = driven[-1] - driven > config.min_path_between
+    is_earlier = (driven[-1] - driven > config.min_path_between) & ~is_left_out
     near: Int64s = np.flatnonzero(is_earlier & (distance < config.view_radius + reach))
     if not len(near):
         return []
@@ -165,6 +194,76 @@ def earlier_visits(poses: Float64s, covariances: Float64s, driven: Float64s, con
     nearest = [int(visit[np.argmin(distance[visit])]) for visit in visits]
     nearest.sort(key=lambda row: (config.window_sigmas * sigma[row] + distance[row], row))
     return nearest[: config.max_visits]
+
+
+@dataclass(frozen=True, slots=True)
+class SearchWindow:
+    """The poses of a keyframe that a match tries.
+
+    map_from_base: a guess, with standard deviations sigma (m) and sigma_turn (rad).
+    reach, turn: half of the window's width about it in x and y, m, and in yaw, rad.
+    min_score, max_steps: of branch and bound.  is_even: no pose in the window is more likely than another.
+    """
+
+    map_from_base: Pose2
+    sigma: float
+    sigma_turn: float
+    reach: float
+    turn: float
+    min_score: float
+    max_steps: int
+    is_even: bool = False
+
+    @classmethod
+    def of(
+        cls, map_from_base: Pose2, covariance: Float64s, n_sigmas: float, max_reach: float, config: LoopClosureConfig
+    ) -> Self:
+        """Returns the window of so many standard deviations of a covariance (3, 3).  max_reach: m."""
+        # a wrong closure makes the graph too certain; a wide window still finds the closures that outvote it
+        sigma = min(sqrt(max(covariance[0, 0], covariance[1, 1])), max_reach)  # infinite without any edge
+        sigma = max(sigma, config.min_window / n_sigmas)
+        sigma_turn = min(sqrt(covariance[2, 2]), pi)
+        return cls(
+            map_from_base,
+            sigma,
+            max(sigma_turn, MIN_SIGMA_TURN_RAD),
+            min(n_sigmas * sigma, max_reach),
+            min(max(n_sigmas * sigma_turn, MIN_TURN_RAD), MAX_TURN_RAD),
+            config.min_score,
+            config.search.max_windows,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceMatch:
+    """The best pose of keyframe `last` in the submap around keyframe `row`, and the other poses that were tried.
+
+    margin: agreeing beams less contradicting ones, as a share of all.  score: the best one of branch and bound.
+    rivals: map_from_base by the pose of keyframe `row`, and margin, of the poses that differ from the best one.
+    """
+
+    match: Match
+    margin: float
+    score: float
+    row_from_last: Pose2
+    rivals: list[tuple[Pose2, float]]
+
+    def is_accepted(self, config: LoopClosureConfig, share: float = 1.0) -> bool:
+        """Whether enough beams agree, and no other pose fits nearly as well.  share: of the beams that must agree."""
+        ratio, margin = share * config.min_inlier_ratio, share * config.min_inlier_margin
+        fits = self.match.inlier_ratio >= ratio and self.margin >= margin
+        return fits and all(other <= config.max_rival_ratio * self.margin for _, other in self.rivals)
+
+    def constraint(self, graph: Graph, row: int, last: int, config: LoopClosureConfig) -> Constraint:
+        """Returns the closure between two rows of the graph."""
+        information = information_in_own_frame(
+            self.match.information,
+            self.match.map_from_base.yaw,
+            WEAK_INFORMATION,
+            config.min_sigma,
+            config.min_sigma_turn,
+        )
+        return Constraint(int(graph.nodes[row]), int(graph.nodes[last]), self.row_from_last, information)
 
 
 def match_loop_closure(
@@ -180,40 +279,55 @@ def match_loop_closure(
 
     covariance: (3, 3) of node `row` relative to node `last`.
     """
+    window = SearchWindow.of(pose_of(graph.poses[last]), covariance, config.window_sigmas, config.max_window, config)
+    found = match_place(graph, keyframes, row, last, window, submaps, config)
+    return found.constraint(graph, row, last, config) if found is not None and found.is_accepted(config) else None
+
+
+def match_place(
+    graph: Graph,
+    keyframes: Sequence[Keyframe],
+    row: int,
+    last: int,
+    window: SearchWindow,
+    submaps: SubmapCache,
+    config: LoopClosureConfig,
+) -> PlaceMatch | None:
+    """Returns the best pose of keyframe `last` in the submap around keyframe `row`.
+
+    None if it has too few beams, or so many poses fit that the search does not end in time.
+    """
     if len(keyframes[last].normals) < MIN_BEAMS:
         return None
     submap, pyramid = submaps.around(graph, keyframes, row)
     keyframe, local_from_row = keyframes[last], keyframes[row].local_from_base
-    guess = local_from_row @ (pose_of(graph.poses[row]).inverse() @ pose_of(graph.poses[last]))
-    # a wrong closure makes the graph too certain; a wide window still finds the closures that outvote it
-    sigma = min(sqrt(max(covariance[0, 0], covariance[1, 1])), config.max_window)  # infinite without any edge
-    sigma = max(sigma, config.min_window / config.window_sigmas)
-    sigma_turn = min(sqrt(covariance[2, 2]), pi)
-    prior = Prior(guess, sigma, max(sigma_turn, 0.03))
-    reach = min(config.window_sigmas * sigma, config.max_window)
-    turn = min(max(config.window_sigmas * sigma_turn, 0.1), 0.5)
+    map_from_row = pose_of(graph.poses[row])
+    guess = local_from_row @ (map_from_row.inverse() @ window.map_from_base)
     points, normals = keyframe.surface()
-    candidates = search(points, pyramid, guess, reach, turn, config.min_score, config.search)
-    best: tuple[float, Match] | None = None
+    settings = config.search.model_copy(update={"max_windows": window.max_steps})
+    candidates, n_steps = search_counted(points, pyramid, guess, window.reach, window.turn, window.min_score, settings)
+    if n_steps > window.max_steps:
+        return None
     tried = []
     for start in (guess, *(candidate.pose for candidate in candidates)):
+        prior = Prior(start if window.is_even else guess, window.sigma, window.sigma_turn)
         match = submap.registrar.register(points, normals, start, prior)
-        margin = submap.inlier_margin(match, keyframe.origin, points)
-        tried.append((margin, match.map_from_base))
-        if best is None or margin > best[0]:
-            best = margin, match
-    if best is None or best[1].inlier_ratio < config.min_inlier_ratio or best[0] < config.min_inlier_margin:
-        return None
-    margin, match = best
+        tried.append((submap.inlier_margin(match, keyframe.origin, points), match))
+    margin, match = max(tried, key=lambda one: one[0])
     pose = match.map_from_base
-    for other_margin, other in tried:
-        is_rival = other.distance(pose) > MIN_RIVAL_M or abs(wrapped(other.yaw - pose.yaw)) > MIN_RIVAL_RAD
-        if is_rival and other_margin > config.max_rival_ratio * margin:
-            return None
-    information = information_in_own_frame(
-        match.information, pose.yaw, WEAK_INFORMATION, config.min_sigma, config.min_sigma_turn
-    )
-    return Constraint(int(graph.nodes[row]), int(graph.nodes[last]), local_from_row.inverse() @ pose, information)
+    row_from_local = local_from_row.inverse()
+    rivals = [
+        (map_from_row @ row_from_local @ other.map_from_base, other_margin)
+        for other_margin, other in tried
+        if is_other_pose(pose, other.map_from_base, MIN_RIVAL_M, MIN_RIVAL_RAD)
+    ]
+    score = max((candidate.score for candidate in candidates), default=0.0)
+    return PlaceMatch(match, margin, score, row_from_local @ pose, rivals)
+
+
+def is_other_pose(a: Pose2, b: Pose2, distance: float, turn: float) -> bool:
+    """Whether two poses differ by more than a distance, m, or a turn, rad."""
+    return a.distance(b) > distance or abs(wrapped(a.yaw - b.yaw)) > turn
 
 
 def information_in_own_frame(

@@ -50,7 +50,8 @@ class MapJobs:
         Arguments as for `BackEnd.add_keyframe`.
         """
         self.back_end.add_keyframe(keyframe, match, odometry, odometry_scale)
-        if self.back_end.is_search_due and not self.is_searching and not odometry.match_error.is_doubtful:
+        is_due = self.back_end.search.is_due(self.back_end.driven, self.back_end.closure_config.search_interval)
+        if is_due and not self.is_searching and not odometry.match_error.is_doubtful:
             self.is_searching = True
             yield self._job(search_constraints, self.back_end.search_arguments(), "on_constraints", 0.05)
         yield from self._update_local_map()
@@ -61,6 +62,7 @@ class MapJobs:
         if epoch == self.epoch:
             self.is_searching = False
             self.back_end.add_closures(constraints.closures)
+            self.back_end.add_far(constraints.far)
             self.back_end.add_pairwise(constraints.pairwise)
             if self.back_end.needs_optimization:
                 yield from self.optimize()

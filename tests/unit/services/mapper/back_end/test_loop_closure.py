@@ -13,6 +13,7 @@ from numpy.testing import assert_array_equal
 from services.mapper.back_end.back_end import BackEnd
 from services.mapper.back_end.config import BackEndConfig
 from services.mapper.back_end.constraint_search import FoundConstraints, search_constraints
+from services.mapper.back_end.far_closures import FarSearch
 from services.mapper.back_end.keyframe import Keyframe, Sweep
 from services.mapper.back_end.local_map import MARGIN_M, PLACE_SIZE, build_local_map
 from services.mapper.back_end.loop_closure import (
@@ -205,9 +206,9 @@ def test_a_closure_found_while_the_graph_is_optimised_is_optimised_after_it():
     (first,) = robot.map_jobs.optimize()
     far = Pose2(*robot.back_end.graph.poses[0]).inverse() @ Pose2(*robot.back_end.graph.poses[-1])
     found = Constraint(0, int(robot.back_end.graph.nodes[-1]), far @ Pose2(0.02, 0, 0), SURE)
-    assert not list(robot.map_jobs.on_constraints((robot.map_jobs.epoch, FoundConstraints([found], [])))), (
-        "one runs at a time"
-    )
+    assert not list(
+        robot.map_jobs.on_constraints((robot.map_jobs.epoch, FoundConstraints([found], [], FarSearch())))
+    ), "one runs at a time"
     (second,) = robot.map_jobs.on_graph_optimized(first.function(*first.arguments))
     assert second.done == "on_graph_optimized"
     assert not list(robot.map_jobs.on_graph_optimized(second.function(*second.arguments))), "nothing is left to do"
@@ -412,7 +413,7 @@ def visited(poses, sigma=0.05, **config):
     poses = np.array(poses, float)
     covariances = np.tile(np.diag((sigma**2, sigma**2, 1e-4)), (len(poses), 1, 1))
     driven = np.concatenate(([0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))))
-    return earlier_visits(poses, covariances, driven, LoopClosureConfig(**config))
+    return earlier_visits(poses, covariances, driven, LoopClosureConfig(**config), np.zeros(len(poses), np.bool_))
 
 
 @pytest.mark.parametrize(("drift", "sure"), [(DRIFT, 0.2), (Pose2(), 2.0)])

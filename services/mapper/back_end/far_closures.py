@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Far closures: loop closures after a long path, where the pose has drifted out of the ordinary window.
+
+The search for closures covers a few metres. After a long path outdoors, or over parts that only odometry joins, the
+robot may be tens of metres off. So places within its drift are searched as well, one at a time. One match so wide may
+be wrong, as buildings repeat themselves. It is a hypothesis: the next keyframes are matched where it puts them. Its
+closures count once enough of them agree over a long enough path, and no other place within the drift fits as well.
+
+Consistent closures before any counts: Mangelson et al., ICRA 2018. One hypothesis at a time, and its comparison with
+all other places, are our own.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from services.mapper.back_end.keyframe import Keyframe
+from services.mapper.back_end.loop_closure import (
+    Constraint,
+    LoopClosureConfig,
+    PlaceMatch,
+    SearchWindow,
+    SubmapCache,
+    existing,
+    is_beyond_window,
+    is_other_pose,
+    match_place,
+)
+from services.mapper.back_end.map_parts import is_joint, largest_consistent_group
+from services.mapper.back_end.pose_graph import Graph, PoseGraph, pose_of
+from shared.geometry import Pose2
+from shared.types import Float64s, Int64s
+
+MAX_PLACES = 200  # within the drift, that a hypothesis is compared with: some seconds of CPU
+MAX_STEPS = 100_000  # of branch and bound at one place: 0.1 s
+MAX_SIGMAS = 3.0  # of the drift that is searched: a place beyond two of them may be a rival
+MIN_AGREEING_PATH_M = 3.0  # over which closures agree
+MIN_PATH_PER_OFFSET = 0.15  # m of that path for each m by which they move the robot
+FOLLOWING_SHARE = 0.75  # of the beams that agree with a closure, for a keyframe where the hypothesis puts it
+MAX_EXTRA_MISSES = 3  # keyframes that do not fit where the hypothesis puts them, beyond as many as fit; a rival is two
+MAX_RIVAL_RATIO = 0.8  # margin of another place, as a share of the hypothesis'
+HYPOTHESIS_COVARIANCE = np.zeros((3, 3))
+"""Of a keyframe by its hypothesis: the smallest window of a closure is wide enough."""
+SAME_PLACE_M, SAME_PLACE_RAD = 1.0, 0.2  # difference of poses that count as one, as old places have errors of their own
+
+
+@dataclass(frozen=True, slots=True)
+class Hypothesis:
+    """Pose of the newest keyframe by the far closures until now.  is_ripe: enough of them agree."""
+
+    map_from_base: Pose2
+    is_ripe: bool
+
+
+@dataclass(frozen=True, slots=True)
+class FarSearch:
+    """Result of one search.
+
+    closure: of the newest keyframe.  has_missed: the keyframe does not fit where the hypothesis puts it.
+    is_unique: all places were tried, and no other fits as well.  is_ambiguous: one of them does, or they are too many.
+    """
+
+    closure: Constraint | None = None
+    has_missed: bool = False
+    is_unique: bool = False
+    is_ambiguous: bool = False
+
+
+class FarClosures:
+    """The hypothesis: far closures that wait until enough of them agree."""
+
+    def __init__(self) -> None:
+        self.waiting: list[Constraint] = []
+        self.n_misses = 0
+
+    def hypothesis(self, graph: PoseGraph, driven: Sequence[float]) -> Hypothesis | None:
+        """Returns the hypothesis; None if there is none.  driven: (n,) m, path length up to each node."""
+        group, poses, newest = self._agreeing(graph)
+        if not group:
+            return None
+        rows = np.searchsorted(graph.nodes, [self.waiting[k].j for k in group])
+        pose = poses[group[-1]]
+        path = driven[int(rows[-1])] - driven[int(rows[0])]
+        is_long = path >= max(MIN_AGREEING_PATH_M, MIN_PATH_PER_OFFSET * newest.distance(pose))
+        return Hypothesis(pose, is_long and is_joint(len(group), len(poses) - len(group), expected=False))
+
+    def _agreeing(self, graph: PoseGraph) -> tuple[list[int], list[Pose2], Pose2]:
+        """Returns the indices of the closures that agree, the newest node's pose by each closure, and by the graph."""
+        newest = graph.pose(int(graph.nodes[-1]))
+        self.waiting = existing(graph, self.waiting)
+        poses = [graph.pose(c.i) @ c.i_from_j @ (graph.pose(c.j).inverse() @ newest) for c in self.waiting]
+        return largest_consistent_group(poses), poses, newest
+
+    def add(self, search: FarSearch, graph: PoseGraph) -> list[Constraint]:
+        """Adds the result of a search. Returns the closures that agree once they count; else none."""
+        self.n_misses += search.has_missed + 2 * search.is_ambiguous
+        if search.closure is not None:
+            self.waiting.append(search.closure)
+        if self.n_misses > len(self.waiting) + MAX_EXTRA_MISSES:
+            self.waiting, self.n_misses = [], 0
+        if not search.is_unique:
+            return []
+        closures = [self.waiting[k] for k in self._agreeing(graph)[0]]
+        self.waiting, self.n_misses = [], 0
+        return closures
+
+
+def find_far_closure(
+    graph: Graph,
+    covariances: Float64s,
+    keyframes: Sequence[Keyframe],
+    driven: Float64s,
+    submaps: SubmapCache,
+    config: LoopClosureConfig,
+    hypothesis: Hypothesis | None,
+) -> FarSearch:
+    """Matches the newest keyframe where the hypothesis puts it; without one, with two places within the drift.
+
+    covariances: (n, 3, 3) of the nodes relative to the newest.
+    keyframes, driven: (n,) of the graph's nodes; driven is the path length up to each, m.
+    """
+    search = _Search(graph, keyframes, submaps, config, covariances, drift_limits(covariances, driven, config))
+    places = distant_places(graph.poses, search.limits, config)
+    if not len(places):
+        return FarSearch(has_missed=hypothesis is not None)
+    if hypothesis is not None:
+        return search.follow(hypothesis, places)
+    turn = int(driven[-1] / config.search_interval) % len(places)
+    for row in np.unique(places[[0, turn]]).tolist():  # the nearest one, and another in turn
+        found = search.within_drift(row, config.min_score)
+        if found is not None and found.is_accepted(config):
+            return FarSearch(found.constraint(graph, row, len(graph.nodes) - 1, config))
+    return FarSearch()
+
+
+@dataclass(frozen=True, slots=True)
+class _Search:
+    """Matches the newest keyframe. Arguments as for `find_far_closure`.  limits: (n,) of `drift_limits`."""
+
+    graph: Graph
+    keyframes: Sequence[Keyframe]
+    submaps: SubmapCache
+    config: LoopClosureConfig
+    covariances: Float64s
+    limits: Float64s
+
+    def within_drift(self, row: int, min_score: float) -> PlaceMatch | None:
+        """Returns the match with the place of a row, anywhere within the drift; None if too many poses fit."""
+        drifted = self.covariances[row], MAX_SIGMAS, float(self.limits[row])
+        window = SearchWindow.of(pose_of(self.graph.poses[-1]), *drifted, self.config)
+        return self._match(row, replace(window, min_score=min_score, max_steps=MAX_STEPS, is_even=True))
+
+    def _match(self, row: int, window: SearchWindow) -> PlaceMatch | None:
+        last = len(self.graph.nodes) - 1
+        return match_place(self.graph, self.keyframes, row, last, window, self.submaps, self.config)
+
+    def follow(self, hypothesis: Hypothesis, places: Int64s) -> FarSearch:
+        """Matches where the hypothesis puts the keyframe; a ripe one is compared with all places, rows (k,)."""
+        config = self.config
+        window = SearchWindow.of(
+            hypothesis.map_from_base, HYPOTHESIS_COVARIANCE, config.window_sigmas, config.max_window, config
+        )
+        matches = [(row, self._match(row, window)) for row in self._nearest_rows(hypothesis.map_from_base)]
+        fits = [(m.margin, row, m) for row, m in matches if m is not None and m.is_accepted(config, FOLLOWING_SHARE)]
+        if not fits:
+            return FarSearch(has_missed=True)
+        _, row, best = max(fits, key=lambda one: one[:2])
+        closure = best.constraint(self.graph, row, len(self.graph.nodes) - 1, config)
+        if not hypothesis.is_ripe:
+            return FarSearch(closure)
+        pose = self._pose(row, best)
+        is_unique = len(places) <= MAX_PLACES
+        is_unique = is_unique and not any(self._has_rival(place, pose, best) for place in places.tolist())
+        return FarSearch(closure if is_unique else None, is_unique=is_unique, is_ambiguous=not is_unique)
+
+    def _has_rival(self, row: int, pose: Pose2, best: PlaceMatch) -> bool:
+        """Whether the keyframe fits at another pose at the place of a row nearly as well as at its best pose."""
+        found = self.within_drift(row, max(self.config.min_score, MAX_RIVAL_RATIO * best.score))
+        if found is None:
+            return True
+        return any(
+            margin > MAX_RIVAL_RATIO * best.margin and is_other_pose(pose, other, SAME_PLACE_M, SAME_PLACE_RAD)
+            for other, margin in ((self._pose(row, found), found.margin), *found.rivals)
+        )
+
+    def _pose(self, row: int, found: PlaceMatch) -> Pose2:
+        return pose_of(self.graph.poses[row]) @ found.row_from_last
+
+    def _nearest_rows(self, pose: Pose2) -> list[int]:
+        """Rows of the distant node that is nearest to a pose, and of the nearest one of another place."""
+        poses: Float64s = self.graph.poses
+        rows: Int64s = np.flatnonzero(self.limits > 0)
+        rows = rows[np.argsort(np.hypot(*(poses[rows, :2] - (pose.x, pose.y)).T), kind="stable")]
+        others = rows[np.hypot(*(poses[rows, :2] - poses[rows[0], :2]).T) > self.config.view_radius]
+        return [int(rows[0]), *others[:1].tolist()]
+
+
+def drift_limits(covariances: Float64s, driven: Float64s, config: LoopClosureConfig) -> Float64s:
+    """Returns (n,) m, the error of each node relative to the last one that is searched at most.
+
+    It is 0 for nodes that the ordinary search covers.  covariances: (n, 3, 3) relative to the last node.
+    driven: (n,) m.
+    """
+    sigma = np.sqrt(np.maximum(covariances[:, 0, 0], covariances[:, 1, 1]))
+    drift = np.minimum(MAX_SIGMAS * sigma, config.max_window + config.max_drift_ratio * (driven[-1] - driven))
+    return np.where(is_beyond_window(covariances, driven, config), drift, 0.0)
+
+
+def distant_places(poses: Float64s, limits: Float64s, config: LoopClosureConfig) -> Int64s:
+    """Returns rows (k,) of nodes, one for each place, where the last node may be by its drift; nearest first.
+
+    poses: (n, 3) m, m, rad in `map`.  limits: (n,) of `drift_limits`.
+    """
+    distance = np.hypot(*(poses[:, :2] - poses[-1, :2]).T)
+    rows: Int64s = np.flatnonzero((limits > 0) & (distance < config.view_radius + limits))
+    rows = rows[np.argsort(distance[rows], kind="stable")]
+    places: list[int] = []
+    while len(rows):
+        places.append(int(rows[0]))
+        rows = rows[np.hypot(*(poses[rows, :2] - poses[rows[0], :2]).T) > config.view_radius]
+    return np.array(places, np.int64)

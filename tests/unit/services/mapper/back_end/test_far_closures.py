@@ -1,0 +1,203 @@
+# SPDX-License-Identifier: Apache-2.0
+"""After a drift of many metres the robot is found on its own map, but not where another place looks the same."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from services.mapper.back_end.constraint_search import AGAIN_SPACING_M, ConstraintSearch
+from services.mapper.back_end.far_closures import (
+    MIN_PATH_PER_OFFSET,
+    FarClosures,
+    FarSearch,
+    distant_places,
+    drift_limits,
+)
+from services.mapper.back_end.loop_closure import Constraint, LoopClosureConfig
+from services.mapper.back_end.map_parts import MIN_FAR_JOINTS, OdometryGap
+from services.mapper.back_end.pose_graph import PoseGraph
+from shared.geometry import Pose2
+from tests.unit.services.mapper.hardships import LONG_CORRIDOR, TO_ITS_END
+from tests.unit.services.mapper.rooms import LAP, RING, START, RoomDrive, laps
+
+CONFIG = LoopClosureConfig()
+SURE = np.diag((1e4, 1e4, 1e5))
+OFF = Pose2(4.6, -2.0, 0.25)  # by which odometry was off while no scan fitted; the ordinary window ends at 3 m
+
+
+def begin_part(driven: RoomDrive, off: Pose2, **closures) -> None:
+    """Begins a part that is off by a motion, and leaves it to closures to find it on the rest."""
+    mapper = driven.mapper
+    motion = mapper.back_end.keyframes[-1].local_from_base.inverse() @ mapper.front_end.local_from_base
+    mapper.back_end.begin_part(OdometryGap(motion @ off, 10.0, 3.0))
+    mapper.front_end.start(mapper.back_end.keyframes[-1].local_from_base @ motion @ off)
+    configure(driven, **closures)
+    mapper.slam.localizer.config = mapper.slam.localizer.config.model_copy(update={"min_inlier_ratio": 2.0})
+
+
+def configure(driven: RoomDrive, **closures) -> None:
+    back_end = driven.mapper.back_end
+    back_end.closure_config = back_end.closure_config.model_copy(update=closures)
+
+
+def round_the_ring(n: int) -> RoomDrive:
+    driven = RoomDrive(RING, noise=0.01)
+    driven.true = START
+    drive(driven, n)
+    return driven
+
+
+def drive(driven: RoomDrive, n: int) -> None:
+    motions = laps()
+    for _ in range(len(driven.poses) % LAP):
+        next(motions)
+    for _ in range(n):
+        driven.step(next(motions))
+
+
+def test_a_part_that_is_many_metres_off_is_found_on_the_rest():
+    driven = round_the_ring(2 * LAP)
+    begin_part(driven, OFF)
+    wrongly = 0
+    for _ in range(LAP):
+        drive(driven, 1)
+        wrongly += driven.mapper.back_end.is_joined and driven.error.distance(Pose2()) > 0.3
+    assert wrongly <= 1  # the scan before the optimum
+    assert driven.mapper.back_end.is_joined
+    assert driven.error.distance(Pose2()) < 0.1
+
+
+def test_keyframes_that_were_too_far_off_for_closures_get_theirs_afterwards():
+    driven = round_the_ring(2 * LAP)
+    begin_part(driven, OFF, enabled=False)
+    drive(driven, LAP // 2)
+    back_end = driven.mapper.back_end
+    part, newest = back_end.first_node, int(back_end.graph.nodes[-1])
+    configure(driven, enabled=True)
+    drive(driven, LAP)
+    graph = back_end.graph.snapshot()
+    assert back_end.is_joined
+    assert not back_end.search.again
+    late = graph.loop & graph.on & (graph.i < part) & (graph.j >= part) & (graph.j <= newest)
+    assert len(np.unique(graph.j[late])) > 10
+
+
+@pytest.mark.parametrize("off", [-4.0, 4.0])
+def test_a_stretch_of_corridor_that_looks_like_the_next_joins_nothing(off):
+    driven = RoomDrive(LONG_CORRIDOR, noise=0.01)
+    driven.true = Pose2(2.0, 1.2, 0.0)
+    half = len(TO_ITS_END) // 2
+    for motion in TO_ITS_END[: half + 150]:
+        driven.step(motion)
+    begin_part(driven, Pose2(off, 0, 0), max_drift_ratio=0.1)
+    n = 0
+    for motion in TO_ITS_END[half + 150 : half + 350]:
+        driven.step(motion)
+        n += driven.mapper.back_end.is_joined and driven.error.distance(Pose2()) > 0.3
+    assert n == 0
+
+
+rows = st.lists(
+    st.tuples(st.floats(-30, 30), st.floats(-30, 30), st.floats(0, 20), st.floats(0, 2)), min_size=2, max_size=80
+)
+
+
+@given(rows)
+def test_each_place_within_the_drift_is_searched_once_and_no_other(drawn):
+    x, y, sigma, step = np.array(drawn).T
+    poses = np.column_stack((x, y, np.zeros_like(x)))
+    covariances = np.zeros((len(x), 3, 3))
+    covariances[:, 0, 0] = sigma**2
+    driven = np.cumsum(step) * 5
+    limits = drift_limits(covariances, driven, CONFIG)
+    places = distant_places(poses, limits, CONFIG)
+    path, distance = driven[-1] - driven, np.hypot(*(poses[:, :2] - poses[-1, :2]).T)
+    drift = np.minimum(3 * sigma, CONFIG.max_window + CONFIG.max_drift_ratio * path)
+    wanted = (path > CONFIG.min_path_between) & (2 * sigma > CONFIG.max_window) & (distance < 3.0 + drift)
+    assert wanted[places].all()
+    assert (np.diff(distance[places]) >= 0).all()
+    apart = np.hypot(*(poses[places, None, :2] - poses[None, :, :2]).T)  # (n, k)
+    between = apart[places] + np.diag(np.full(len(places), np.inf))
+    assert (between > CONFIG.view_radius).all()
+    assert not wanted.any() or (apart[wanted].min(axis=1) <= CONFIG.view_radius).all()
+
+
+def straight(n: int) -> tuple[PoseGraph, list[float]]:
+    """A graph of two passes side by side, n nodes each, 1 m from node to node; the second is 20 m off."""
+    graph = PoseGraph()
+    for k in range(2 * n):
+        graph.add_node(Pose2(k % n, 20.0 * (k >= n), 0.0))
+    return graph, [float(k) for k in range(2 * n)]
+
+
+def closure(k: int, n: int, dx: float = 0.0) -> FarSearch:
+    return FarSearch(Constraint(k, n + k, Pose2(dx, 0, 0), SURE))
+
+
+def test_closures_count_once_enough_agree_over_a_path_that_is_long_for_what_they_move():
+    n = 30
+    far = FarClosures()
+    ripe = []
+    for k in range(12):
+        graph, driven = straight(n)
+        assert not far.add(closure(k, n), graph)
+        ripe.append(far.hypothesis(graph, driven).is_ripe)
+    assert ripe == [k >= max(MIN_FAR_JOINTS - 1, 20 * MIN_PATH_PER_OFFSET) for k in range(12)]
+    graph, driven = straight(n)
+    assert far.hypothesis(graph, driven).map_from_base.distance(Pose2(n - 1, 0, 0)) < 1e-9
+    found = closure(12, n).closure
+    counted = far.add(FarSearch(found, is_unique=True), graph)
+    assert [c.j for c in counted] == list(range(n, n + 13))
+    assert far.hypothesis(graph, driven) is None
+
+
+def test_a_closure_that_disagrees_does_not_count_with_the_others():
+    n = 30
+    graph, _ = straight(n)
+    far = FarClosures()
+    for k in range(10):
+        far.add(closure(k, n, dx=1.0 if k == 4 else 0.0), graph)
+    counted = far.add(FarSearch(closure(10, n).closure, is_unique=True), graph)
+    assert len(counted) == 10
+    assert n + 4 not in [c.j for c in counted]
+
+
+@pytest.mark.parametrize(("found", "n_until"), [(FarSearch(has_missed=True), 12), (FarSearch(is_ambiguous=True), 6)])
+def test_a_hypothesis_that_fits_no_more_or_not_alone_is_given_up(found, n_until):
+    n = 30
+    graph, driven = straight(n)
+    far = FarClosures()
+    for k in range(8):
+        far.add(closure(k, n), graph)
+    for _ in range(n_until - 1):
+        far.add(found, graph)
+        assert far.hypothesis(graph, driven) is not None
+    far.add(found, graph)
+    assert far.hypothesis(graph, driven) is None
+
+
+def test_removed_keyframes_take_their_closures_with_them():
+    n = 30
+    graph, driven = straight(n)
+    far = FarClosures()
+    far.add(closure(3, n), graph)
+    graph.remove_node(3)
+    del driven[3]
+    assert far.hypothesis(graph, driven) is None
+
+
+def test_only_nodes_that_were_off_are_searched_again_newest_first_and_a_metre_apart():
+    graph, _ = straight(20)
+    driven = [0.4 * k for k in range(40)]
+    for k in range(39):
+        graph.add_edge(k, k + 1, Pose2(1, 0, 0), SURE, loop=k == 24)
+    search = ConstraintSearch()
+    search.search_again(graph.snapshot(), driven, frozenset({(24, 25)}), closed_at=14.0)
+    order = [search.again.pop() for _ in range(len(search.again))]
+    assert order == sorted(order, reverse=True)
+    assert min(order) == 25
+    paths = [int(driven[node] / AGAIN_SPACING_M) for node in order]
+    assert len(set(paths)) == len(paths)
+    search.search_again(graph.snapshot(), driven, frozenset(), closed_at=14.0)
+    assert all(driven[node] > 14.0 for node in search.again)
