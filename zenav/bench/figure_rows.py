@@ -201,7 +201,7 @@ ROWS: tuple[FigureRow, ...] = (
     FigureRow(
         name="faults",
         what="sensors, clocks and services that fail while the robot drives, in lockstep",
-        command="zenav bench faults --trials 58",
+        command="zenav bench faults",
         cells=faults_cells("faults"),
         jobs=True,
     ),

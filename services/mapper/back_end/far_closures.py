@@ -33,11 +33,13 @@ from shared.geometry import Pose2
 from shared.types import Float64s, Int64s
 
 MAX_PLACES = 200  # within the drift, that a hypothesis is compared with: some seconds of CPU
-MAX_STEPS = 100_000  # of branch and bound at one place: 0.1 s
+N_IN_TURN = 2  # places that a search tries without a hypothesis, beside the nearest one
+MIN_SCORE = 0.5  # of branch and bound at a place; a match with fewer beams is not accepted
+MAX_STEPS = 100_000  # of branch and bound at a place: 0.1 s
 MAX_SIGMAS = 3.0  # of the drift that is searched: a place beyond two of them may be a rival
 MIN_AGREEING_PATH_M = 3.0  # over which closures agree
-MIN_PATH_PER_OFFSET = 0.15  # m of that path for each m by which they move the robot
-FOLLOWING_SHARE = 0.75  # of the beams that agree with a closure, for a keyframe where the hypothesis puts it
+MIN_PATH_PER_OFFSET = 0.05  # m more of that path for each m by which they move the robot
+FIRST_SHARE, FOLLOWING_SHARE = 0.85, 0.75  # of the beams that must agree with a closure: for a hypothesis, and after it
 MAX_EXTRA_MISSES = 3  # keyframes that do not fit where the hypothesis puts them, beyond as many as fit; a rival is two
 MAX_RIVAL_RATIO = 0.8  # margin of another place, as a share of the hypothesis'
 HYPOTHESIS_COVARIANCE = np.zeros((3, 3))
@@ -82,7 +84,7 @@ class FarClosures:
         rows = np.searchsorted(graph.nodes, [self.waiting[k].j for k in group])
         pose = poses[group[-1]]
         path = driven[int(rows[-1])] - driven[int(rows[0])]
-        is_long = path >= max(MIN_AGREEING_PATH_M, MIN_PATH_PER_OFFSET * newest.distance(pose))
+        is_long = path >= MIN_AGREEING_PATH_M + MIN_PATH_PER_OFFSET * newest.distance(pose)
         return Hypothesis(pose, is_long and is_joint(len(group), len(poses) - len(group), expected=False))
 
     def _agreeing(self, graph: PoseGraph) -> tuple[list[int], list[Pose2], Pose2]:
@@ -115,7 +117,7 @@ def find_far_closure(
     config: LoopClosureConfig,
     hypothesis: Hypothesis | None,
 ) -> FarSearch:
-    """Matches the newest keyframe where the hypothesis puts it; without one, with two places within the drift.
+    """Matches the newest keyframe where the hypothesis puts it; without one, with some places within the drift.
 
     covariances: (n, 3, 3) of the nodes relative to the newest.
     keyframes, driven: (n,) of the graph's nodes; driven is the path length up to each, m.
@@ -126,10 +128,10 @@ def find_far_closure(
         return FarSearch(has_missed=hypothesis is not None)
     if hypothesis is not None:
         return search.follow(hypothesis, places)
-    turn = int(driven[-1] / config.search_interval) % len(places)
-    for row in np.unique(places[[0, turn]]).tolist():  # the nearest one, and another in turn
-        found = search.within_drift(row, config.min_score)
-        if found is not None and found.is_accepted(config):
+    turn = N_IN_TURN * int(driven[-1] / config.search_interval) + np.arange(N_IN_TURN)
+    for row in np.unique(places[np.append(0, turn % len(places))]).tolist():  # the nearest one, and others in turn
+        found = search.within_drift(row, MIN_SCORE)
+        if found is not None and found.is_accepted(config, FIRST_SHARE):
             return FarSearch(found.constraint(graph, row, len(graph.nodes) - 1, config))
     return FarSearch()
 

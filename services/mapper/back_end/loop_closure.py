@@ -55,7 +55,7 @@ class LoopClosureConfig(Section):
     min_window: float = Field(1.5, ge=0.1, le=30, description="m about the guess that are searched, at least")
     max_window: float = Field(3.0, ge=0.3, le=30, description="m about the guess that are searched, at most")
     max_drift_ratio: float = Field(
-        0.03, ge=0, le=0.2,
+        0.1, ge=0, le=0.5,
         description="m of drift per m of path for which places beyond that are searched too; 0 searches none",
     )  # fmt: skip
     min_inlier_ratio: float = Field(0.65, ge=0, le=1, description="minimum share of the beams that agree")

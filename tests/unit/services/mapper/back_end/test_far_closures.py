@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from services.mapper.back_end.constraint_search import AGAIN_SPACING_M, ConstraintSearch
 from services.mapper.back_end.far_closures import (
+    MIN_AGREEING_PATH_M,
     MIN_PATH_PER_OFFSET,
     FarClosures,
     FarSearch,
@@ -90,7 +91,7 @@ def test_a_stretch_of_corridor_that_looks_like_the_next_joins_nothing(off):
     half = len(TO_ITS_END) // 2
     for motion in TO_ITS_END[: half + 150]:
         driven.step(motion)
-    begin_part(driven, Pose2(off, 0, 0), max_drift_ratio=0.1)
+    begin_part(driven, Pose2(off, 0, 0))
     n = 0
     for motion in TO_ITS_END[half + 150 : half + 350]:
         driven.step(motion)
@@ -143,7 +144,7 @@ def test_closures_count_once_enough_agree_over_a_path_that_is_long_for_what_they
         graph, driven = straight(n)
         assert not far.add(closure(k, n), graph)
         ripe.append(far.hypothesis(graph, driven).is_ripe)
-    assert ripe == [k >= max(MIN_FAR_JOINTS - 1, 20 * MIN_PATH_PER_OFFSET) for k in range(12)]
+    assert ripe == [k >= max(MIN_FAR_JOINTS - 1, MIN_AGREEING_PATH_M + 20 * MIN_PATH_PER_OFFSET) for k in range(12)]
     graph, driven = straight(n)
     assert far.hypothesis(graph, driven).map_from_base.distance(Pose2(n - 1, 0, 0)) < 1e-9
     found = closure(12, n).closure
