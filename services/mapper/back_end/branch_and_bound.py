@@ -114,29 +114,14 @@ def search(
     turn: float,
     min_score: float,
     config: BranchAndBoundConfig,
-) -> list[Candidate]:
+) -> tuple[list[Candidate], int]:
     """Returns the best pose of the window with a score of `min_score`, and its best rival, where they exist.
 
     points: (n, 2) m in `base`.  centre: of the window, in the pyramid's frame.
     reach: half the window's width in x and y, m, rounded up to cells.  turn: the same in yaw, rad; pi is a circle.
     The rival is the best pose at `min_rival_distance` m or `min_rival_turn` rad from the best one. Of poses with equal
-    scores the one nearest to the centre is chosen, in steps of the lattice.
-    """
-    return search_counted(points, pyramid, centre, reach, turn, min_score, config)[0]
-
-
-def search_counted(
-    points: Float64s,
-    pyramid: Pyramid,
-    centre: Pose2,
-    reach: float,
-    turn: float,
-    min_score: float,
-    config: BranchAndBoundConfig,
-) -> tuple[list[Candidate], int]:
-    """Returns the result of `search`, and the number of windows evaluated. Arguments as for `search`.
-
-    There is no pose where the search needs more than `max_windows`.
+    scores the one nearest to the centre is chosen, in steps of the lattice. The second result is the number of windows
+    evaluated. There is no pose where the search needs more than `max_windows`.
     """
     points = voxel_downsample(points, config.max_points, pyramid.resolution)
     n = len(points)

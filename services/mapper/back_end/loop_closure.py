@@ -15,7 +15,7 @@ from typing import ClassVar, Self
 import numpy as np
 from pydantic import Field
 
-from services.mapper.back_end.branch_and_bound import BranchAndBoundConfig, Pyramid, build_pyramid, search_counted
+from services.mapper.back_end.branch_and_bound import BranchAndBoundConfig, Pyramid, build_pyramid, search
 from services.mapper.back_end.keyframe import Keyframe
 from services.mapper.back_end.pose_graph import Graph, PoseGraph, pose_of, rotate_matrix
 from services.mapper.front_end.registration import Match, Prior, RegistrationConfig
@@ -305,7 +305,7 @@ def match_place(
     guess = local_from_row @ (map_from_row.inverse() @ window.map_from_base)
     points, normals = keyframe.surface()
     settings = config.search.model_copy(update={"max_windows": window.max_steps})
-    candidates, n_steps = search_counted(points, pyramid, guess, window.reach, window.turn, window.min_score, settings)
+    candidates, n_steps = search(points, pyramid, guess, window.reach, window.turn, window.min_score, settings)
     if n_steps > window.max_steps:
         return None
     tried = []

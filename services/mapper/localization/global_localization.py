@@ -20,8 +20,8 @@ from services.mapper.back_end.branch_and_bound import (
     BranchAndBoundConfig,
     Pyramid,
     build_pyramid,
+    search,
     search_cost,
-    search_counted,
 )
 from services.mapper.back_end.keyframe import Keyframe
 from services.mapper.front_end.registration import Match, Prior, RegistrationConfig
@@ -199,7 +199,7 @@ def find_poses(
     seconds = 0.0
     for rival_distance in (config.search.min_rival_distance, config.far_rival_distance):
         settings = config.search.model_copy(update={"min_rival_distance": rival_distance, "max_windows": max_windows})
-        candidates, n_windows = search_counted(points, pyramid, centre, reach, turn, config.min_score, settings)
+        candidates, n_windows = search(points, pyramid, centre, reach, turn, config.min_score, settings)
         seconds += cost / LOOKUPS_PER_S + n_windows / WINDOWS_PER_S
         starts += [candidate.pose for candidate in candidates if candidate.pose not in starts]
         if len(candidates) < 2:  # no rival near the best pose, so none farther off

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.mapper.back_end.branch_and_bound import BranchAndBoundConfig, build_pyramid, headings, search
+from services.mapper.back_end.branch_and_bound import BranchAndBoundConfig, build_pyramid, headings
+from services.mapper.back_end.branch_and_bound import search as search_counted
 from services.mapper.front_end.voxel_filter import voxel_downsample
 from shared.geometry import Pose2, wrapped
 from tests.unit.services.mapper.rooms import ROOM, sweep
@@ -14,6 +15,10 @@ from tests.unit.services.mapper.rooms import ROOM, sweep
 CONFIG = BranchAndBoundConfig()
 EVERYWHERE = CONFIG.model_copy(update={"min_rival_ratio": 0.0})
 ASIDE = np.array([20.0, 0.0, 20.0, 0.0])
+
+
+def search(*arguments):
+    return search_counted(*arguments)[0]
 
 
 def seen(segments, pose, **arguments):
