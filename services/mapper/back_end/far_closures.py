@@ -4,7 +4,8 @@
 The search for closures covers a few metres. After a long path outdoors, or over parts that only odometry joins, the
 robot may be tens of metres off. So places within its drift are searched as well, one at a time. One match so wide may
 be wrong, as buildings repeat themselves. It is a hypothesis: the next keyframes are matched where it puts them. Its
-closures count once enough of them agree over a long enough path, and no other place within the drift fits as well.
+closures count once enough of them agree over a long enough path, and one of their keyframes fits nowhere else as well.
+The best match is compared first, as a keyframe of plants or of one wall fits at many places.
 
 Consistent closures before any counts: Mangelson et al., ICRA 2018. One hypothesis at a time, and its comparison with
 all other places, are our own.
@@ -29,6 +30,7 @@ from services.mapper.back_end.loop_closure import (
 )
 from services.mapper.back_end.map_parts import is_joint, largest_consistent_group
 from services.mapper.back_end.pose_graph import Graph, PoseGraph, pose_of
+from services.mapper.back_end.relative_covariance import relative_covariances
 from shared.geometry import Pose2
 from shared.types import Float64s, Int64s
 
@@ -49,31 +51,42 @@ SAME_PLACE_M, SAME_PLACE_RAD = 1.0, 0.2  # difference of poses that count as one
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
-    """Pose of the newest keyframe by the far closures until now.  is_ripe: enough of them agree."""
+    """Pose of the newest keyframe by the far closures until now.
+
+    is_ripe: enough of them agree.  best: of these, the best match that was not compared with all places yet.
+    """
 
     map_from_base: Pose2
     is_ripe: bool
+    best: Constraint | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class FarSearch:
     """Result of one search.
 
-    closure: of the newest keyframe.  has_missed: the keyframe does not fit where the hypothesis puts it.
-    is_unique: all places were tried, and no other fits as well.  is_ambiguous: one of them does, or they are too many.
+    closure, margin: of the newest keyframe.  has_missed: it does not fit where the hypothesis puts it.
+    is_unique: the hypothesis' best match was compared with all places, and no other fits as well.
+    is_ambiguous: one of them does, or they are too many.
     """
 
     closure: Constraint | None = None
+    margin: float = 0.0
     has_missed: bool = False
     is_unique: bool = False
     is_ambiguous: bool = False
+    compared: int | None = None  # name of the best match's node
 
 
 class FarClosures:
     """The hypothesis: far closures that wait until enough of them agree."""
 
     def __init__(self) -> None:
+        self._begin()
+
+    def _begin(self) -> None:
         self.waiting: list[Constraint] = []
+        self.margins: dict[int, float] = {}  # of the closures that were not compared with all places, by node
         self.n_misses = 0
 
     def hypothesis(self, graph: PoseGraph, driven: Sequence[float]) -> Hypothesis | None:
@@ -85,7 +98,10 @@ class FarClosures:
         pose = poses[group[-1]]
         path = driven[int(rows[-1])] - driven[int(rows[0])]
         is_long = path >= MIN_AGREEING_PATH_M + MIN_PATH_PER_OFFSET * newest.distance(pose)
-        return Hypothesis(pose, is_long and is_joint(len(group), len(poses) - len(group), expected=False))
+        is_ripe = is_long and is_joint(len(group), len(poses) - len(group), expected=False)
+        to_compare = [c for c in (self.waiting[k] for k in group) if c.j in self.margins]
+        best = max(to_compare, key=lambda c: self.margins[c.j], default=None)
+        return Hypothesis(pose, is_ripe, best if is_ripe else None)
 
     def _agreeing(self, graph: PoseGraph) -> tuple[list[int], list[Pose2], Pose2]:
         """Returns the indices of the closures that agree, the newest node's pose by each closure, and by the graph."""
@@ -97,14 +113,14 @@ class FarClosures:
     def add(self, search: FarSearch, graph: PoseGraph) -> list[Constraint]:
         """Adds the result of a search. Returns the closures that agree once they count; else none."""
         self.n_misses += search.has_missed + 2 * search.is_ambiguous
+        if search.compared is not None:
+            self.margins.pop(search.compared, None)
         if search.closure is not None:
             self.waiting.append(search.closure)
-        if self.n_misses > len(self.waiting) + MAX_EXTRA_MISSES:
-            self.waiting, self.n_misses = [], 0
-        if not search.is_unique:
-            return []
-        closures = [self.waiting[k] for k in self._agreeing(graph)[0]]
-        self.waiting, self.n_misses = [], 0
+            self.margins[search.closure.j] = search.margin
+        closures = [self.waiting[k] for k in self._agreeing(graph)[0]] if search.is_unique else []
+        if closures or self.n_misses > len(self.waiting) + MAX_EXTRA_MISSES:
+            self._begin()
         return closures
 
 
@@ -123,17 +139,46 @@ def find_far_closure(
     keyframes, driven: (n,) of the graph's nodes; driven is the path length up to each, m.
     """
     search = _Search(graph, keyframes, submaps, config, covariances, drift_limits(covariances, driven, config))
+    if hypothesis is not None:
+        followed = search.follow(hypothesis)
+        if hypothesis.best is None:
+            return followed
+        is_unique = _is_unique(graph, keyframes, driven, submaps, config, hypothesis.best)
+        return replace(followed, compared=hypothesis.best.j, is_unique=is_unique, is_ambiguous=not is_unique)
     places = distant_places(graph.poses, search.limits, config)
     if not len(places):
-        return FarSearch(has_missed=hypothesis is not None)
-    if hypothesis is not None:
-        return search.follow(hypothesis, places)
+        return FarSearch()
     turn = N_IN_TURN * int(driven[-1] / config.search_interval) + np.arange(N_IN_TURN)
     for row in np.unique(places[np.append(0, turn % len(places))]).tolist():  # the nearest one, and others in turn
         found = search.within_drift(row, MIN_SCORE)
         if found is not None and found.is_accepted(config, FIRST_SHARE):
-            return FarSearch(found.constraint(graph, row, len(graph.nodes) - 1, config))
+            return FarSearch(found.constraint(graph, row, len(graph.nodes) - 1, config), found.margin)
     return FarSearch()
+
+
+def _is_unique(
+    graph: Graph,
+    keyframes: Sequence[Keyframe],
+    driven: Float64s,
+    submaps: SubmapCache,
+    config: LoopClosureConfig,
+    closure: Constraint,
+) -> bool:
+    """Whether the later keyframe of a closure fits at no other place within its drift as well.
+
+    It is compared with the nodes before it.  Others as for `find_far_closure`.
+    """
+    n = int(np.searchsorted(graph.nodes, closure.j)) + 1
+    before, covariances = graph.subgraph_before(closure.j + 1), relative_covariances(graph, closure.j)[:n]
+    limits = drift_limits(covariances, driven[:n], config)
+    search = _Search(before, keyframes[:n], submaps, config, covariances, limits)
+    places = distant_places(before.poses, limits, config)
+    pose = pose_of(graph.poses[int(np.searchsorted(graph.nodes, closure.i))]) @ closure.i_from_j
+    found = search.near(pose)
+    if found is None or not 0 < len(places) <= MAX_PLACES:
+        return False
+    row, best = found
+    return not any(search.has_rival(place, row, best) for place in places.tolist())
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,33 +202,33 @@ class _Search:
         last = len(self.graph.nodes) - 1
         return match_place(self.graph, self.keyframes, row, last, window, self.submaps, self.config)
 
-    def follow(self, hypothesis: Hypothesis, places: Int64s) -> FarSearch:
-        """Matches where the hypothesis puts the keyframe; a ripe one is compared with all places, rows (k,)."""
-        config = self.config
-        window = SearchWindow.of(
-            hypothesis.map_from_base, HYPOTHESIS_COVARIANCE, config.window_sigmas, config.max_window, config
-        )
-        matches = [(row, self._match(row, window)) for row in self._nearest_rows(hypothesis.map_from_base)]
-        fits = [(m.margin, row, m) for row, m in matches if m is not None and m.is_accepted(config, FOLLOWING_SHARE)]
-        if not fits:
+    def follow(self, hypothesis: Hypothesis) -> FarSearch:
+        """Matches where the hypothesis puts the keyframe."""
+        found = self.near(hypothesis.map_from_base)
+        if found is None:
             return FarSearch(has_missed=True)
-        _, row, best = max(fits, key=lambda one: one[:2])
-        closure = best.constraint(self.graph, row, len(self.graph.nodes) - 1, config)
-        if not hypothesis.is_ripe:
-            return FarSearch(closure)
-        pose = self._pose(row, best)
-        is_unique = len(places) <= MAX_PLACES
-        is_unique = is_unique and not any(self._has_rival(place, pose, best) for place in places.tolist())
-        return FarSearch(closure if is_unique else None, is_unique=is_unique, is_ambiguous=not is_unique)
+        row, best = found
+        return FarSearch(best.constraint(self.graph, row, len(self.graph.nodes) - 1, self.config), best.margin)
 
-    def _has_rival(self, row: int, pose: Pose2, best: PlaceMatch) -> bool:
-        """Whether the keyframe fits at another pose at the place of a row nearly as well as at its best pose."""
-        found = self.within_drift(row, max(self.config.min_score, MAX_RIVAL_RATIO * best.score))
+    def near(self, map_from_base: Pose2) -> tuple[int, PlaceMatch] | None:
+        """Returns the row of a place near a pose, and the best match there; None if too few beams agree."""
+        if not (self.limits > 0).any():
+            return None
+        config = self.config
+        window = SearchWindow.of(map_from_base, HYPOTHESIS_COVARIANCE, config.window_sigmas, config.max_window, config)
+        matches = [(row, self._match(row, window)) for row in self._nearest_rows(map_from_base)]
+        fits = [(m.margin, row, m) for row, m in matches if m is not None and m.is_accepted(config, FOLLOWING_SHARE)]
+        return max(fits, key=lambda one: one[:2])[1:] if fits else None
+
+    def has_rival(self, place: int, row: int, best: PlaceMatch) -> bool:
+        """Whether the keyframe fits at another pose at a place nearly as well as at its best pose, near a row."""
+        found = self.within_drift(place, max(self.config.min_score, MAX_RIVAL_RATIO * best.score))
         if found is None:
             return True
+        pose = self._pose(row, best)
         return any(
             margin > MAX_RIVAL_RATIO * best.margin and is_other_pose(pose, other, SAME_PLACE_M, SAME_PLACE_RAD)
-            for other, margin in ((self._pose(row, found), found.margin), *found.rivals)
+            for other, margin in ((self._pose(place, found), found.margin), *found.rivals)
         )
 
     def _pose(self, row: int, found: PlaceMatch) -> Pose2:

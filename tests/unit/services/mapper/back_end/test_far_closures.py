@@ -14,10 +14,13 @@ from services.mapper.back_end.far_closures import (
     FarSearch,
     distant_places,
     drift_limits,
+    find_far_closure,
 )
+from services.mapper.back_end.keyframe import Keyframe
 from services.mapper.back_end.loop_closure import Constraint, LoopClosureConfig
 from services.mapper.back_end.map_parts import MIN_FAR_JOINTS, OdometryGap
 from services.mapper.back_end.pose_graph import PoseGraph
+from services.mapper.back_end.relative_covariance import relative_covariances
 from shared.geometry import Pose2
 from tests.unit.services.mapper.hardships import LONG_CORRIDOR, TO_ITS_END
 from tests.unit.services.mapper.rooms import LAP, RING, START, RoomDrive, laps
@@ -99,6 +102,24 @@ def test_a_stretch_of_corridor_that_looks_like_the_next_joins_nothing(off):
     assert n == 0
 
 
+def test_a_newest_keyframe_that_sees_nothing_does_not_hinder_the_best_match_so_far():
+    driven = round_the_ring(2 * LAP)
+    begin_part(driven, OFF)
+    back_end = driven.mapper.back_end
+    far, hypothesis = back_end.search.far_closures, None
+    while hypothesis is None or not hypothesis.is_ripe:
+        drive(driven, 1)
+        hypothesis = far.hypothesis(back_end.graph, back_end.driven)
+    graph, newest, nothing = back_end.graph.snapshot(), back_end.keyframes[-1], np.zeros((0, 2))
+    blind = Keyframe.of(newest.stamp, newest.local_from_base, nothing, nothing, nothing, nothing, nothing)
+    covariances = relative_covariances(graph, int(graph.nodes[-1]))
+    visits = graph, covariances, (*back_end.keyframes[:-1], blind), np.array(back_end.driven), back_end.submaps
+    found = find_far_closure(*visits, back_end.closure_config, hypothesis)
+    assert found.has_missed
+    assert found.is_unique
+    assert found.compared == hypothesis.best.j != graph.nodes[-1]
+
+
 rows = st.lists(
     st.tuples(st.floats(-30, 30), st.floats(-30, 30), st.floats(0, 20), st.floats(0, 2)), min_size=2, max_size=80
 )
@@ -151,6 +172,19 @@ def test_closures_count_once_enough_agree_over_a_path_that_is_long_for_what_they
     counted = far.add(FarSearch(found, is_unique=True), graph)
     assert [c.j for c in counted] == list(range(n, n + 13))
     assert far.hypothesis(graph, driven) is None
+
+
+def test_the_best_matches_are_compared_with_all_places_first_and_each_once():
+    n, margins = 30, (0.5, 0.7, 0.6, 0.9, 0.5, 0.6, 0.55, 0.8)
+    graph, driven = straight(n)
+    far = FarClosures()
+    for k, margin in enumerate(margins):
+        far.add(FarSearch(closure(k, n, dx=1.0 if k == 3 else 0.0).closure, margin), graph)
+    compared = []
+    for _ in range(3):
+        compared.append(far.hypothesis(graph, driven).best.j - n)
+        far.add(FarSearch(compared=n + compared[-1]), graph)
+    assert compared == [7, 1, 2]
 
 
 def test_a_closure_that_disagrees_does_not_count_with_the_others():
