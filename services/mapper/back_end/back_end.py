@@ -170,8 +170,11 @@ class BackEnd:
         row, node = self.first_row, self.graph.add_node(self.map_from_local @ keyframe.local_from_base)
         c = self.config
         if row == len(self.keyframes):
-            if self.gap is not None:
-                self._add_gap_edge(int(self.graph.nodes[-2]), node, self.gap)
+            if (gap := self.gap) is not None:  # measured by odometry alone, which may be wrong
+                i = int(self.graph.nodes[-2])
+                self.graph.add_edge(i, node, gap.motion, gap_information(gap.path, gap.turn), loop=True)
+                self.gap_edges |= {(i, node)}
+                self.part_gap, self.gap = gap, None
             jump = self.closure_config.min_path_between + 2 * self.closure_config.view_radius
             self.driven.append(self.driven[-1] + jump if self.driven else 0.0)
         else:
@@ -189,12 +192,6 @@ class BackEnd:
         self.keyframes.append(keyframe)
         self.n_since_local_map += 1
         self._prune()
-
-    def _add_gap_edge(self, i: int, j: int, gap: OdometryGap) -> None:
-        """Joins a part's first node j to node i by odometry alone, which may be wrong."""
-        self.graph.add_edge(i, j, gap.motion, gap_information(gap.path, gap.turn), loop=True)
-        self.gap_edges |= {(i, j)}
-        self.part_gap, self.gap = gap, None
 
     def _prune(self) -> None:
         """Removes keyframes, so that the graph grows with the area and not with time."""
@@ -243,8 +240,9 @@ class BackEnd:
         for closure in closures:
             expected = self.graph.pose(closure.i).inverse() @ self.graph.pose(closure.j)
             error = expected.inverse() @ closure.i_from_j
-            self.is_inconsistent |= hypot(error.x, error.y) > self.config.urgent_error
-            self.is_inconsistent |= abs(error.yaw) > self.config.urgent_turn_error
+            off, c = hypot(error.x, error.y), self.config
+            self.is_inconsistent |= off > c.urgent_error or abs(error.yaw) > c.urgent_turn_error
+            self.search.on_closure(off, self.closed_at)
             i, i_from_j = closure.i, closure.i_from_j
             if self.is_fixed and i < self.first_node:  # all fixed nodes are one rigid body
                 origin = int(self.graph.nodes[0])
@@ -321,6 +319,8 @@ class BackEnd:
         """Applies an optimum to the graph and to `map_from_local`, and adds up the shifts that it makes."""
         before, local_from_map = self.graph.poses.copy(), self.map_from_local.inverse()
         self.graph.apply(optimum)
+        if not self.is_inconsistent and not self.is_fixed:
+            self.search.search_drifted(self.graph, self.driven)
         if self.first_row == len(self.keyframes):  # a part without keyframes moves with the node before it
             self.map_from_local = optimum.moved @ self.map_from_local
         else:

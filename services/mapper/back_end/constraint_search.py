@@ -7,6 +7,7 @@ methods and their sources are in loop_closure.py, far_closures.py and pairwise_c
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from math import inf
 
 import numpy as np
 
@@ -18,10 +19,11 @@ from services.mapper.back_end.pairwise_constraints import PairwiseConfig, find_p
 from services.mapper.back_end.pose_graph import Graph, PoseGraph
 from services.mapper.back_end.relative_covariance import relative_covariances
 from services.mapper.front_end.registration import RegistrationConfig
-from shared.types import Float64s
+from shared.types import Bools, Float64s
 
 N_AGAIN = 3  # earlier keyframes that one search looks at again
 AGAIN_SPACING_M = 1.0  # driven between two of them
+MIN_DRIFT_M = 0.75  # shown by a closure, half of the smallest window: before it, others may have been out of theirs
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +60,7 @@ class ConstraintSearch:
         self.last_searched = -1  # name of the newest node whose pairwise constraints were searched
         self.far_closures = FarClosures()
         self.again: list[int] = []  # names of nodes whose closures are to be searched again, the next one last
+        self.drifted_from = inf  # m driven, where a drift began that the next optimum corrects
 
     def is_due(self, driven: Sequence[float], interval: float) -> bool:
         """Whether to search at the newest node.  driven: (n,) m, path length up to each.  interval: m."""
@@ -88,12 +91,27 @@ class ConstraintSearch:
 
         driven: (n,) m.  gaps: edges (i, j) of odometry alone.  closed_at: m driven, at the last closure.
         """
-        was_off = ~joined_nodes(graph, gaps) | (np.array(driven) > closed_at)
-        self.again, place = [], -1
-        for node, path in zip(graph.nodes[was_off].tolist(), np.array(driven)[was_off].tolist()):
+        self._add_again(graph, driven, ~joined_nodes(graph, gaps) | (np.array(driven) > closed_at))
+
+    def on_closure(self, off: float, closed_at: float) -> None:
+        """Notes a closure that moves its keyframe by `off`, m.  closed_at: m driven, at the closure before."""
+        if off > MIN_DRIFT_M:
+            self.drifted_from = min(self.drifted_from, closed_at)
+
+    def search_drifted(self, graph: PoseGraph, driven: Sequence[float]) -> None:
+        """Orders another search for closures of the nodes whose drift an optimum has corrected.  driven: (n,) m."""
+        if self.drifted_from < inf:
+            self._add_again(graph.snapshot(), driven, np.array(driven) > self.drifted_from)
+        self.drifted_from = inf
+
+    def _add_again(self, graph: Graph, driven: Sequence[float], chosen: Bools) -> None:
+        """Adds one node for each metre of those chosen, (n,).  driven: (n,) m."""
+        added, place = set(self.again), -1
+        for node, path in zip(graph.nodes[chosen].tolist(), np.array(driven)[chosen].tolist()):
             if int(path / AGAIN_SPACING_M) != place:
-                self.again.append(node)
+                added.add(node)
                 place = int(path / AGAIN_SPACING_M)
+        self.again = sorted(added)
 
 
 def search_constraints(

@@ -51,7 +51,7 @@ class LoopClosureConfig(Section):
     view_radius: float = Field(3.0, ge=0.2, le=50, description="m between two places from where the same is seen")
     max_visits: int = Field(2, ge=1, le=20, description="earlier visits that a search tries")
     block_size: int = Field(10, ge=1, le=100, description="keyframes before and after a place that are matched with it")
-    window_sigmas: float = Field(2.0, ge=0.5, le=6, description="standard deviations about the guess that are searched")
+    window_sigmas: float = Field(3.0, ge=0.5, le=6, description="standard deviations about the guess that are searched")
     min_window: float = Field(1.5, ge=0.1, le=30, description="m about the guess that are searched, at least")
     max_window: float = Field(3.0, ge=0.3, le=30, description="m about the guess that are searched, at most")
     max_drift_ratio: float = Field(

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from services.mapper.back_end.back_end import BackEnd
 from services.mapper.back_end.constraint_search import AGAIN_SPACING_M, ConstraintSearch
 from services.mapper.back_end.far_closures import (
     MIN_AGREEING_PATH_M,
@@ -21,6 +22,7 @@ from services.mapper.back_end.loop_closure import Constraint, LoopClosureConfig
 from services.mapper.back_end.map_parts import MIN_FAR_JOINTS, OdometryGap
 from services.mapper.back_end.pose_graph import PoseGraph
 from services.mapper.back_end.relative_covariance import relative_covariances
+from services.mapper.back_end.solver.optimize import optimize
 from shared.geometry import Pose2
 from tests.unit.services.mapper.hardships import LONG_CORRIDOR, TO_ITS_END
 from tests.unit.services.mapper.rooms import LAP, RING, START, RoomDrive, laps
@@ -220,6 +222,38 @@ def test_removed_keyframes_take_their_closures_with_them():
     graph.remove_node(3)
     del driven[3]
     assert far.hypothesis(graph, driven) is None
+
+
+def close(back_end: BackEnd, off: float) -> None:
+    """Adds a closure that moves the newest keyframe by `off`, m."""
+    first, newest = (int(node) for node in back_end.graph.nodes[[0, -1]])
+    first_from_newest = back_end.graph.pose(first).inverse() @ back_end.graph.pose(newest) @ Pose2(off, 0, 0)
+    back_end.add_closures([Constraint(first, newest, first_from_newest, SURE)])
+
+
+@pytest.mark.parametrize(("off", "is_drift"), [(0.5, False), (1.0, True)])
+def test_keyframes_before_a_closure_that_moves_the_robot_far_are_searched_again(off, is_drift):
+    back_end = round_the_ring(LAP // 2).mapper.back_end
+    assert back_end.closed_at == 0
+    close(back_end, off)
+    back_end.apply(optimize(*back_end.optimization_arguments()))
+    again = np.searchsorted(back_end.graph.nodes, back_end.search.again)
+    places = {int(path / AGAIN_SPACING_M) for path in back_end.driven if path > 0}
+    assert {int(back_end.driven[row] / AGAIN_SPACING_M) for row in again} == (places if is_drift else set())
+    assert len(again) <= len(places)
+
+
+def test_a_drift_is_searched_once_and_after_the_optimum_that_corrects_it():
+    back_end = round_the_ring(LAP // 2).mapper.back_end
+    before = back_end.optimization_arguments()
+    close(back_end, 1.0)
+    back_end.apply(optimize(*before))
+    assert not back_end.search.again
+    back_end.apply(optimize(*back_end.optimization_arguments()))
+    assert back_end.search.again
+    back_end.search.again = []
+    back_end.apply(optimize(*back_end.optimization_arguments()))
+    assert not back_end.search.again
 
 
 def test_only_nodes_that_were_off_are_searched_again_newest_first_and_a_metre_apart():
