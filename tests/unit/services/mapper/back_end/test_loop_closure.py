@@ -41,6 +41,7 @@ from tests.unit.services.mapper.rooms import LAP, RING, START, STEP, TURN, laps,
 
 SURE = np.diag((1e4, 1e4, 1e5))
 DRIFT = Pose2(0.003, 0.002, 0.0015)  # m, m, rad with every keyframe: after a lap, half a metre and more
+BEFORE_THE_LOOP = LAP - 22  # the last step from which no keyframe closes it
 
 
 class DriftingRobot:
@@ -469,7 +470,7 @@ def test_ties_take_out_the_drift_before_any_loop_closes():
     left = []
     for partners in (3, 0):
         robot = DriftingRobot(pairwise=PairwiseConfig(n_partners=partners))
-        robot.drives(islice(laps(), LAP - 19))
+        robot.drives(islice(laps(), BEFORE_THE_LOOP))
         robot.take(robot.map_jobs.optimize())
         assert robot.back_end.n_loops == 0
         left.append(np.hypot(*robot.errors[:, :2].T).max())
@@ -478,7 +479,7 @@ def test_ties_take_out_the_drift_before_any_loop_closes():
 
 def test_a_wrong_closure_that_made_the_graph_sure_is_outvoted():
     robot = DriftingRobot(pairwise=PairwiseConfig(n_partners=0))  # they would not let it in
-    robot.drives(islice(laps(), LAP - 19))
+    robot.drives(islice(laps(), BEFORE_THE_LOOP))
     assert robot.back_end.n_loops == 0
     nodes = robot.back_end.graph.nodes
     true = (START.inverse() @ robot.true_at[robot.back_end.keyframes[0].stamp]).inverse() @ START.inverse() @ robot.true
@@ -486,6 +487,6 @@ def test_a_wrong_closure_that_made_the_graph_sure_is_outvoted():
     robot.back_end.add_closures([Constraint(int(nodes[0]), int(nodes[-1]), wrong, np.diag((2500.0, 2500.0, 4e4)))])
     robot.take(robot.map_jobs.optimize())
     assert np.hypot(*robot.errors[-1, :2]) > 0.8, "it took the wrong one"
-    robot.drives(islice(laps(), LAP - 19, LAP + 25))
+    robot.drives(islice(laps(), BEFORE_THE_LOOP, LAP + 25))
     robot.take(robot.map_jobs.optimize())
     assert np.hypot(*robot.errors[-20:, :2].T).max() < 0.35
