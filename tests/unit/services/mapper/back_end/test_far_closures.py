@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from services.mapper.back_end.back_end import BackEnd
@@ -128,6 +128,7 @@ rows = st.lists(
 
 
 @given(rows)
+@example([(0.0, 0.0, 1.5, 0.0), *[(0.0, 0.0, 0.0, 1.0)] * 3])  # between two and three standard deviations
 def test_each_place_within_the_drift_is_searched_once_and_no_other(drawn):
     x, y, sigma, step = np.array(drawn).T
     poses = np.column_stack((x, y, np.zeros_like(x)))
@@ -138,7 +139,8 @@ def test_each_place_within_the_drift_is_searched_once_and_no_other(drawn):
     places = distant_places(poses, limits, CONFIG)
     path, distance = driven[-1] - driven, np.hypot(*(poses[:, :2] - poses[-1, :2]).T)
     drift = np.minimum(3 * sigma, CONFIG.max_window + CONFIG.max_drift_ratio * path)
-    wanted = (path > CONFIG.min_path_between) & (2 * sigma > CONFIG.max_window) & (distance < 3.0 + drift)
+    is_far = CONFIG.window_sigmas * sigma > CONFIG.max_window
+    wanted = (path > CONFIG.min_path_between) & is_far & (distance < 3.0 + drift)
     assert wanted[places].all()
     assert (np.diff(distance[places]) >= 0).all()
     apart = np.hypot(*(poses[places, None, :2] - poses[None, :, :2]).T)  # (n, k)
