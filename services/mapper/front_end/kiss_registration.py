@@ -14,6 +14,7 @@ from shared.types import Bools, Float64s
 
 VOXEL_M, MAX_POINTS_IN_VOXEL = 0.5, 20  # of the package's map: 0.11 m between two points
 MAX_ITERATIONS = 100
+MAX_DISTANCE_RATIO = 3.0  # of a correspondence, to the kernel
 MIN_THRESHOLD_M = 0.1  # of the kernel: the map has a point each 0.11 m
 
 
@@ -68,14 +69,18 @@ class KissRegistrar(LineRegistrar):
         return replace(self.evaluate(points, normals, fused), twist=twist)
 
     def threshold(self, prior: Prior) -> float:
-        """m, scale of the kernel and a third of the maximum distance: the error of the prior at the laser's range."""
+        """m, scale of the kernel: the error of the prior at the laser's range.
+
+        It is a third of the maximum distance of a correspondence. So it is at most a third of `gate`: with three times
+        that distance, scans slid to other walls of a small room, 1.7 rad off.
+        """
         off = prior.sigma + 2 * self.range_max * sin(min(prior.sigma_turn, pi) / 2)
-        return float(min(max(off, MIN_THRESHOLD_M), max(self.config.gate, MIN_THRESHOLD_M)))
+        return float(max(min(off, self.config.gate / MAX_DISTANCE_RATIO), MIN_THRESHOLD_M))
 
     def _align(self, points: Float64s, start: Pose2, sigma: float) -> Pose2:
         moved = self._registration.align_points_to_map(
             points=_points_3d(points), voxel_map=self._voxels, initial_guess=_matrix(start),
-            max_correspondance_distance=3 * sigma, kernel=sigma,
+            max_correspondance_distance=MAX_DISTANCE_RATIO * sigma, kernel=sigma,
         )  # fmt: skip
         return Pose2(float(moved[0, 3]), float(moved[1, 3]), float(np.arctan2(moved[1, 0], moved[0, 0])))
 

@@ -174,7 +174,20 @@ def test_kiss_searches_within_the_sigma_of_odometry():
     assert thresholds == sorted(thresholds)
     assert thresholds[1] < thresholds[2]
     assert thresholds[0] >= 0.1, "m, the spacing of the package's map"
-    assert thresholds[-1] <= RegistrationConfig().gate
+    assert 3 * thresholds[-1] <= RegistrationConfig().gate
+
+
+@pytest.mark.parametrize("kind", ["line", "kiss"])
+@pytest.mark.parametrize("gate", [0.4, 0.6])
+def test_a_wall_farther_off_than_the_gate_draws_no_scan(kind, gate):
+    """All that the scan sees is one straight wall, which the map has 0.1 m within the gate, or beyond it."""
+    wall = np.column_stack((np.full(60, 2.0), np.linspace(-3, 3, 60)))
+    normals = np.tile((-1.0, 0.0), (60, 1))
+    for off in (gate - 0.1, gate + 0.1):
+        registrar = REGISTRARS[kind](RegistrationConfig(gate=gate, final_gate=gate), 8.0)
+        registrar.add_points(wall + (off, 0), normals)
+        moved = registrar.register(wall, normals, START, Prior(START, **WEAK)).map_from_base.x
+        assert moved == pytest.approx(off if off < gate else 0.0, abs=0.05)
 
 
 @pytest.mark.parametrize("kind", ["line", "kiss"])
