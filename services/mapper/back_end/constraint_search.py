@@ -5,7 +5,7 @@ It runs beside the scans, as the constraint builder of Cartographer does (Hess e
 methods and their sources are in loop_closure.py, far_closures.py and pairwise_constraints.py.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
 
@@ -13,7 +13,13 @@ import numpy as np
 
 from services.mapper.back_end.far_closures import FarClosures, FarSearch, Hypothesis, find_far_closure
 from services.mapper.back_end.keyframe import Keyframe
-from services.mapper.back_end.loop_closure import Constraint, LoopClosureConfig, SubmapCache, find_loop_closures
+from services.mapper.back_end.loop_closure import (
+    Constraint,
+    LoopClosureConfig,
+    SubmapCache,
+    find_loop_closures,
+    visits_before,
+)
 from services.mapper.back_end.map_parts import joined_nodes
 from services.mapper.back_end.pairwise_constraints import PairwiseConfig, find_pairwise_constraints
 from services.mapper.back_end.pose_graph import Graph, PoseGraph
@@ -130,29 +136,16 @@ def search_constraints(
     """
     covariances = relative_covariances(graph, int(graph.nodes[-1]))
     visits = graph, covariances, keyframes, driven, submaps, closure_config
-    again = _find_again(graph, keyframes, driven, submaps, closure_config, order.again)
+    again = [visits_before(graph, keyframes, driven, node) for node in order.again]
     searches_far = order.searches_far and closure_config.enabled
     pairwise = find_pairwise_constraints(
         graph, covariances, keyframes, order.last_searched, registration, pairwise_config
     )
     return FoundConstraints(
-        [*find_loop_closures(*visits, order.part), *again],
+        [
+            *find_loop_closures(*visits, order.part),
+            *(closure for earlier in again for closure in find_loop_closures(*earlier, submaps, closure_config)),
+        ],
         list(pairwise),
         find_far_closure(*visits, order.hypothesis) if searches_far else FarSearch(),
     )
-
-
-def _find_again(
-    graph: Graph,
-    keyframes: Sequence[Keyframe],
-    driven: Float64s,
-    submaps: SubmapCache,
-    config: LoopClosureConfig,
-    nodes: Sequence[int],
-) -> Iterator[Constraint]:
-    """Yields the closures of earlier nodes, as they would be found by the present graph. Others as above."""
-    for node in nodes:
-        n = int(np.searchsorted(graph.nodes, node)) + 1
-        covariances = relative_covariances(graph, node)[:n]
-        before = graph.subgraph_before(node + 1)
-        yield from find_loop_closures(before, covariances, keyframes[:n], driven[:n], submaps, config)

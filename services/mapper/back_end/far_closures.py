@@ -27,10 +27,10 @@ from services.mapper.back_end.loop_closure import (
     is_beyond_window,
     is_other_pose,
     match_place,
+    visits_before,
 )
 from services.mapper.back_end.map_parts import is_joint, largest_consistent_group
 from services.mapper.back_end.pose_graph import Graph, PoseGraph, pose_of
-from services.mapper.back_end.relative_covariance import relative_covariances
 from shared.geometry import Pose2
 from shared.types import Float64s, Int64s
 
@@ -53,11 +53,10 @@ SAME_PLACE_M, SAME_PLACE_RAD = 1.0, 0.2  # difference of poses that count as one
 class Hypothesis:
     """Pose of the newest keyframe by the far closures until now.
 
-    is_ripe: enough of them agree.  best: of these, the best match that was not compared with all places yet.
+    best: once enough of them agree, the best match that was not compared with all places yet.
     """
 
     map_from_base: Pose2
-    is_ripe: bool
     best: Constraint | None = None
 
 
@@ -98,10 +97,10 @@ class FarClosures:
         pose = poses[group[-1]]
         path = driven[int(rows[-1])] - driven[int(rows[0])]
         is_long = path >= MIN_AGREEING_PATH_M + MIN_PATH_PER_OFFSET * newest.distance(pose)
-        is_ripe = is_long and is_joint(len(group), len(poses) - len(group), expected=False)
+        if not (is_long and is_joint(len(group), len(poses) - len(group), expected=False)):
+            return Hypothesis(pose)
         to_compare = [c for c in (self.waiting[k] for k in group) if c.j in self.margins]
-        best = max(to_compare, key=lambda c: self.margins[c.j], default=None)
-        return Hypothesis(pose, is_ripe, best if is_ripe else None)
+        return Hypothesis(pose, max(to_compare, key=lambda c: self.margins[c.j], default=None))
 
     def _agreeing(self, graph: PoseGraph) -> tuple[list[int], list[Pose2], Pose2]:
         """Returns the indices of the closures that agree, the newest node's pose by each closure, and by the graph."""
@@ -168,10 +167,9 @@ def _is_unique(
 
     It is compared with the nodes before it.  Others as for `find_far_closure`.
     """
-    n = int(np.searchsorted(graph.nodes, closure.j)) + 1
-    before, covariances = graph.subgraph_before(closure.j + 1), relative_covariances(graph, closure.j)[:n]
-    limits = drift_limits(covariances, driven[:n], config)
-    search = _Search(before, keyframes[:n], submaps, config, covariances, limits)
+    before, covariances, keyframes, driven = visits_before(graph, keyframes, driven, closure.j)
+    limits = drift_limits(covariances, driven, config)
+    search = _Search(before, keyframes, submaps, config, covariances, limits)
     places = distant_places(before.poses, limits, config)
     pose = pose_of(graph.poses[int(np.searchsorted(graph.nodes, closure.i))]) @ closure.i_from_j
     found = search.near(pose)

@@ -18,6 +18,7 @@ from pydantic import Field
 from services.mapper.back_end.branch_and_bound import BranchAndBoundConfig, Pyramid, build_pyramid, search
 from services.mapper.back_end.keyframe import Keyframe
 from services.mapper.back_end.pose_graph import Graph, PoseGraph, pose_of, rotate_matrix
+from services.mapper.back_end.relative_covariance import relative_covariances
 from services.mapper.front_end.registration import Match, Prior, RegistrationConfig
 from services.mapper.front_end.submap import Submap
 from services.mapper.front_end.tracking_result import MIN_BEAMS
@@ -162,6 +163,18 @@ def find_loop_closures(
         if closure is not None:
             closures.append(closure)
     return closures
+
+
+def visits_before(
+    graph: Graph, keyframes: Sequence[Keyframe], driven: Float64s, node: int
+) -> tuple[Graph, Float64s, Sequence[Keyframe], Float64s]:
+    """Returns the first four arguments of `find_loop_closures` for an earlier node, as the present graph has them.
+
+    keyframes, driven: (n,) of the graph's nodes.
+    """
+    n = int(np.searchsorted(graph.nodes, node)) + 1
+    covariances = relative_covariances(graph, node)[:n]
+    return graph.subgraph_before(node + 1), covariances, keyframes[:n], driven[:n]
 
 
 def is_beyond_window(covariances: Float64s, driven: Float64s, config: LoopClosureConfig) -> Bools:

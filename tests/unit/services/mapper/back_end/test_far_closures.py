@@ -109,7 +109,7 @@ def test_a_newest_keyframe_that_sees_nothing_does_not_hinder_the_best_match_so_f
     begin_part(driven, OFF)
     back_end = driven.mapper.back_end
     far, hypothesis = back_end.search.far_closures, None
-    while hypothesis is None or not hypothesis.is_ripe:
+    while hypothesis is None or hypothesis.best is None:
         drive(driven, 1)
         hypothesis = far.hypothesis(back_end.graph, back_end.driven)
     graph, newest, nothing = back_end.graph.snapshot(), back_end.keyframes[-1], np.zeros((0, 2))
@@ -168,7 +168,7 @@ def test_closures_count_once_enough_agree_over_a_path_that_is_long_for_what_they
     for k in range(12):
         graph, driven = straight(n)
         assert not far.add(closure(k, n), graph)
-        ripe.append(far.hypothesis(graph, driven).is_ripe)
+        ripe.append(far.hypothesis(graph, driven).best is not None)
     assert ripe == [k >= max(MIN_FAR_JOINTS - 1, MIN_AGREEING_PATH_M + 20 * MIN_PATH_PER_OFFSET) for k in range(12)]
     graph, driven = straight(n)
     assert far.hypothesis(graph, driven).map_from_base.distance(Pose2(n - 1, 0, 0)) < 1e-9

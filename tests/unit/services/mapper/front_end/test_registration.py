@@ -185,7 +185,7 @@ def test_a_wall_farther_off_than_the_gate_draws_no_scan(kind, gate):
     normals = np.tile((-1.0, 0.0), (60, 1))
     for off in (gate - 0.1, gate + 0.1):
         registrar = REGISTRARS[kind](RegistrationConfig(gate=gate, final_gate=gate), 8.0)
-        registrar.add_points(wall + (off, 0), normals)
+        registrar.add_points(wall + np.array((off, 0)), normals)
         moved = registrar.register(wall, normals, START, Prior(START, **WEAK)).map_from_base.x
         assert moved == pytest.approx(off if off < gate else 0.0, abs=0.05)
 
