@@ -28,7 +28,7 @@ from services.mapper.front_end.tracking_result import TrackingResult
 from services.mapper.grid.map_drawing import Drawing
 from services.mapper.grid.map_edits import MapEdits
 from services.mapper.grid.occupancy import Occupancy, OccupancyConfig
-from services.mapper.localization.global_localization import PART_REST_RATIO, GlobalLocalizer, PoseHypothesis
+from services.mapper.localization.global_localization import GlobalLocalizer, PoseHypothesis
 from services.mapper.localization.kidnap_detection import KidnapDetector
 from services.mapper.maps.map_file import SavedMap
 from shared import topics
@@ -185,8 +185,7 @@ class Slam:
             return
         is_long = self.back_end.n_in_part >= MIN_KEYFRAMES
         if not self.localizer.is_searching and self.part_fit < MIN_FIT and is_long:
-            self.localizer.load(self._map_without_part(), PART_REST_RATIO)
-            self.localizer.part_about = self.back_end.map_from_local
+            self.localizer.load(self._map_without_part(), self.back_end.map_from_local)
             self.searches_part = True
         if self.searches_part:
             yield from self.localizer.add_keyframe(keyframe, tracked.match, self.odometry_scale)

@@ -42,6 +42,7 @@ LOOKUPS_PER_S = 1e10  # cells that a search reads in a second of CPU
 WINDOWS_PER_S = 1.4e6  # windows that it evaluates in a second of CPU
 MAX_PART_WINDOWS = 1_000_000  # of a search for a part of the map
 MAX_LOOKUPS = 2e10  # of a search for a part; a wider window is reduced to this
+MAX_PART_INTERVAL_M = 3.0  # between two searches for a part
 MAX_REST_NS = 60_000_000_000  # between two searches
 REST_RATIO = 1.0  # rest per CPU time of a search, while the robot waits for its pose
 PART_REST_RATIO = 10.0  # the same while the robot maps meanwhile
@@ -260,19 +261,24 @@ class GlobalLocalizer:
         self.rest: tuple[int, int] | None = None  # ns, stamps of keyframes from which and until which no search begins
         self.load(None)
 
-    def load(self, saved: SavedMap | None, rest_ratio: float = REST_RATIO) -> None:
-        """Searches the robot on this map; None ends all searches.  rest_ratio: pause per CPU time of a search."""
+    def load(self, saved: SavedMap | None, part_about: Pose2 | None = None) -> None:
+        """Searches the robot on this map; None ends all searches.
+
+        part_about: map_from_local of a part that is searched on the rest of the map. Then the robot maps meanwhile.
+        """
         self.surface = MapSurface(saved, *self._settings) if saved is not None else None
-        self.rest_ratio = rest_ratio
-        self.start()
+        self.start(part_about=part_about)
 
     def edit(self, saved: SavedMap) -> None:
         """Goes on with the same map with other edits."""
         if self.surface is not None:
             self.surface = MapSurface(saved, *self._settings)
 
-    def start(self, window_about: Pose2 | None = None) -> None:
-        """Begins to search: the whole map, or about a given map_from_local, where one search is enough."""
+    def start(self, window_about: Pose2 | None = None, part_about: Pose2 | None = None) -> None:
+        """Begins to search: the whole map, or about a given map_from_local, where one search is enough.
+
+        part_about: as for `load`.
+        """
         self.epoch += 1
         self.is_searching = self.surface is not None
         self.has_job = False
@@ -281,9 +287,10 @@ class GlobalLocalizer:
         self.searched_at = -inf  # m driven, at the last search
         self.guesses: tuple[Pose2, ...] = ()
         self.window_about, self.n_failed = window_about, 0  # searches there
-        self.part_about: Pose2 | None = None  # map_from_local to search about on a large map
+        self.part_about = part_about  # about which to search where the map is large
         self.tracks: list[tuple[Pose2, float, int]] = []  # pose, m driven at its first search, number of searches
         self.n_unrivalled = 0  # searches in a row that gave one pose alone
+        self.n_fruitless = 0  # searches in a row that gave no plausible pose
 
     def add_keyframe(self, keyframe: Keyframe, match: Match, odometry_scale: float) -> Out:
         """Stores a keyframe, with the arguments of `BackEnd.add_keyframe`, and orders a search when due."""
@@ -292,12 +299,20 @@ class GlobalLocalizer:
             self.driven += hypot(step.x, step.y)
         self.pending.append((keyframe, match, odometry_scale))
         del self.pending[: -self.config.max_pending_keyframes]
-        is_due = self.driven - self.searched_at >= self.config.search_interval and not self._rests(keyframe.stamp)
+        is_due = self.driven - self.searched_at >= self._interval and not self._rests(keyframe.stamp)
         if self.surface is not None and not self.has_job and is_due:
             self.searched_at, self.has_job = self.driven, True
             newest = tuple(pending for pending, _, _ in self.pending[-self.config.n_keyframes :])
             order = self.epoch, self.surface, newest, self.guesses, self.config, self.window_about, self.part_about
             yield Job(_search, order, "on_localized", 0.5)
+
+    @property
+    def _interval(self) -> float:
+        """m driven between two searches. For a part that may be on new ground, it grows while they find nothing."""
+        interval = self.config.search_interval
+        if self.part_about is None:
+            return interval
+        return max(interval, min((1 + self.n_fruitless) * interval, MAX_PART_INTERVAL_M))
 
     def _rests(self, stamp: int) -> bool:
         """Whether the next search waits because the last one was long; never after the clock was set back."""
@@ -310,13 +325,15 @@ class GlobalLocalizer:
             return None
         self.has_job = False
         stamp = self.pending[-1][0].stamp
-        self.rest = stamp, stamp + min(round(self.rest_ratio * seconds * 1e9), MAX_REST_NS)
+        rest_ratio = REST_RATIO if self.part_about is None else PART_REST_RATIO
+        self.rest = stamp, stamp + min(round(rest_ratio * seconds * 1e9), MAX_REST_NS)
         self.guesses = tuple(hypothesis.map_from_local for hypothesis in hypotheses[:4])
         local_from_base, before, self.tracks = self.pending[-1][0].local_from_base, self.tracks, []
         for pose in (hypothesis.map_from_local for hypothesis in hypotheses if hypothesis.is_plausible):
             new = pose, self.searched_at, 0
             _, since, n = next((old for old in before if is_same_pose(pose, old[0], local_from_base)), new)
             self.tracks.append((pose, since, n + 1))
+        self.n_fruitless = 0 if self.tracks else self.n_fruitless + 1
         if not hypotheses or not hypotheses[0].is_plausible or not self._is_unrivalled(hypotheses):
             self.n_unrivalled = 0
             self.n_failed += 1

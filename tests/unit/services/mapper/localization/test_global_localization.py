@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot anywhere in a saved building is found by driving; where it could be elsewhere too, nothing is claimed."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from services.mapper.localization.global_localization import PoseHypothesis
+from services.mapper.localization.global_localization import MAX_PART_INTERVAL_M, PoseHypothesis
 from services.mapper.maps.map_file import pack_map
 from shared.geometry import Pose2
 from shared.messages import Localization
+from shared.types import NS_PER_S
 from tests.unit.services.mapper.buildings import ALIKE, SHUT, START, Building, drives, off, put, saved_by
 from tests.unit.services.mapper.rooms import ROOM, RoomDrive
 
@@ -177,6 +179,33 @@ def test_a_place_is_believed_where_little_speaks_against_it_beside_what_speaks_a
             (localizer.epoch, [PoseHypothesis(Pose2(1, 1), best, True), PoseHypothesis(Pose2(1, 6), rival, True)], 0.0)
         )
     assert (found is not None) is believed
+
+
+@pytest.mark.parametrize("part_about", [None, Pose2()])
+def test_only_for_a_part_searches_become_rarer_while_they_find_nothing(building, part_about):
+    _, saved, _ = building
+    driven = put(ALIKE, saved, START)
+    driven.step(Pose2())
+    localizer = driven.mapper.slam.localizer
+    keyframe, *others = localizer.pending[-1]
+    localizer.load(saved, part_about)
+    searched_at = []
+    for step in range(400):
+        moved = replace(keyframe, local_from_base=Pose2(0.1 * step, 0, 0), stamp=keyframe.stamp + step * NS_PER_S)
+        for _ in localizer.add_keyframe(moved, *others):
+            searched_at.append(0.1 * step)
+            found = [PoseHypothesis(Pose2(), 0.9, step > 300), PoseHypothesis(Pose2(9), 0.9, False)]
+            assert localizer.accepted_pose((localizer.epoch, found, 0.01)) is None
+    at = np.array(searched_at)
+    intervals, found_before = np.diff(at), at[:-1] > 30
+    normal = localizer.config.search_interval
+    assert intervals[found_before] == pytest.approx(normal, abs=0.11)
+    if part_about is None:
+        assert intervals == pytest.approx(normal, abs=0.11)
+    else:
+        fruitless = intervals[~found_before]
+        assert (np.diff(fruitless) > -0.11).all()
+        assert fruitless[-1] == pytest.approx(MAX_PART_INTERVAL_M, abs=0.11)
 
 
 def test_a_map_that_goes_on_grows_by_what_is_new_and_closes_with_what_is_old(building):
