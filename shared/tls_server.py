@@ -3,6 +3,7 @@
 
 import ssl
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 
 def load_certificate(context: ssl.SSLContext, certificate: Path, key: Path) -> None:
@@ -10,6 +11,11 @@ def load_certificate(context: ssl.SSLContext, certificate: Path, key: Path) -> N
 
     Raises OSError (SSLError is one) where the two cannot be used. The context then shows the former certificate.
     """
-    trial = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)  # OpenSSL drops the former key before it compares the new one
-    for target in (trial, context):
-        target.load_cert_chain(certificate, key, password="")  # else OpenSSL asks for a passphrase at the terminal
+    # OpenSSL drops the former key before it compares the new one, and reads files alone. So a trial comes first, and
+    # both read the same copies, in a folder for this user alone: one of the files may be renewed between them
+    with TemporaryDirectory() as folder:
+        copies = Path(folder) / "certificate", Path(folder) / "key"
+        for source, copy in zip((certificate, key), copies):
+            copy.write_bytes(source.read_bytes())
+        for target in (ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER), context):
+            target.load_cert_chain(*copies, password="")  # else OpenSSL asks for a passphrase at the terminal

@@ -76,6 +76,7 @@ FILES = (
     "shared/file_modes.py",
     "shared/secure_folder.py",  # keys and members
     "shared/credentials.py",  # what a member was given
+    "shared/tls_server.py",  # copies of a certificate and its key
     "services/dashboard/certificate.py",
     "services/gateway/router.py",  # the names of its own threads
     "services/dashboard/login_store.py",
