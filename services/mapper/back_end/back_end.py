@@ -28,7 +28,7 @@ from services.mapper.back_end.pose_graph import Graph, OptimizationResult, PoseG
 from services.mapper.back_end.solver.optimize import PoseGraphConfig
 from services.mapper.front_end.odometry_error import OdometryError
 from services.mapper.front_end.registration import Match, RegistrationConfig
-from services.mapper.front_end.slip import widen_beyond_slip
+from services.mapper.front_end.slip import widen_where_doubtful
 from services.mapper.front_end.submap import Submap
 from services.mapper.grid.map_drawing import Drawing, continue_drawing
 from services.mapper.grid.occupancy import Occupancy, OccupancyConfig
@@ -185,9 +185,8 @@ class BackEnd:
             information = information_in_own_frame(
                 match.information, keyframe.local_from_base.yaw, prior_information, c.min_sigma, c.min_sigma_turn
             )
-            self.graph.add_edge(
-                node - 1, node, step, widen_beyond_slip(information, step, keyframe.odometry_residual), loop=False
-            )
+            information = widen_where_doubtful(information, step, keyframe.odometry_residual, match.inlier_ratio)
+            self.graph.add_edge(node - 1, node, step, information, loop=False)
             self.driven.append(self.driven[-1] + hypot(step.x, step.y))
         self.keyframes.append(keyframe)
         self.n_since_local_map += 1

@@ -30,7 +30,7 @@ from shared.types import Bools, Float64s, Int64s
 WEAK_INFORMATION = 1e-2 * np.eye(3)
 """Information of an unknown pose: standard deviations of 10 m and 10 rad."""
 GRAPH_SHARE = 1.5  # memory of the graph that grows, by doubling, as a share of its snapshot's
-MIN_SIGMA_TURN_RAD, MIN_TURN_RAD, MAX_TURN_RAD = 0.03, 0.1, 0.5  # of a window about a guess
+MIN_SIGMA_TURN_RAD, MIN_TURN_RAD, MAX_TURN_RAD = 0.03, 0.2, 0.5  # of a window about a guess
 MIN_RIVAL_M, MIN_RIVAL_RAD = 0.3, 0.2  # distance from the best pose from which another pose is a rival
 
 

@@ -20,6 +20,7 @@ LAG_ERROR = 0.03  # m, rad: error of odometry that is late or comes in steps
 TURN_PER_M = 0.3  # rad a metre: one wheel of a small robot slips for a tenth of the path
 MAX_ERROR = 0.1  # m, rad: error of odometry between two keyframes while no wheel slips
 MAX_SLIP_TURN_PER_M = 1.0  # rad a metre: turn of a robot of which one wheel slips all the path
+MIN_INLIER_RATIO = 0.5  # share of the beams under which a match is doubtful, and slip no better explanation
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,17 +43,20 @@ class SlipBound:
         return (hypot(off.x, off.y) / slip) ** 2 + (off.yaw / slip_turn) ** 2
 
 
-def widen_beyond_slip(information: Float64s, step: Pose2, off: Pose2) -> Float64s:
-    """Information (3, 3) of a matched motion in its own axes, reduced where no slip explains its offset from odometry.
+def widen_where_doubtful(information: Float64s, step: Pose2, off: Pose2, inlier_ratio: float) -> Float64s:
+    """Information (3, 3) of a matched motion in its own axes, reduced where the match may be wrong.
 
     step: the motion by matches.  off: its offset from the motion by odometry, in the same axes.
-    A wheel slips by its own turn at most. Beyond that the match may be wrong, and a loop closure decides. So the
-    covariance grows by off off^T. Its inverse follows from Sherman and Morrison (1950).
+    inlier_ratio: share of the beams that agree with the submap.
+    A wheel slips by its own turn at most. Beyond that the match may be wrong, and a loop closure decides. So it is
+    where most beams see new ground, as in a door: the few others may fit at a wrong pose. There the covariance grows by
+    off off^T. Its inverse follows from Sherman and Morrison (1950).
     """
     odometry = step @ off.inverse()
     path = hypot(odometry.x, odometry.y)
     max_turn = MAX_ERROR + abs(odometry.yaw) + MAX_SLIP_TURN_PER_M * path
-    if hypot(off.x, off.y) <= MAX_ERROR + path and abs(off.yaw) <= max_turn:
+    is_slip = hypot(off.x, off.y) <= MAX_ERROR + path and abs(off.yaw) <= max_turn
+    if is_slip and inlier_ratio >= MIN_INLIER_RATIO:
         return information
     d = np.array((off.x, off.y, off.yaw))
     less = information @ d
