@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Alignment of a scan with the submap: registration from odometry, and from other guesses where that is doubtful.
 
-Odometry can be wrong: a slipping wheel, a stall, a wrong sign. A good match far from odometry can be, too, as places
-look alike. Then the motion before is a guess, and the poses of a correlative search. Another pose replaces the first
-only if clearly more beams support it. The margin grows with the offset from odometry that slip must explain.
+Odometry can be wrong: a slipping wheel, a stall, a wrong sign. After a long step a good match far from odometry can be,
+too, as places look alike. Then the motion before is a guess, and the poses of a correlative search. Another pose
+replaces the first only if clearly more beams support it. The margin grows with the offset from odometry that slip must
+explain.
 
 The guesses are those of KISS-ICP (constant velocity: Vizzo et al., RA-L 2023, section III-A) and of Olson, ICRA 2009.
 The choice between them is our own.
@@ -103,11 +104,11 @@ class ScanAligner:
         odometry = wide_prior if p.has_odometry and not self.searches_next else None
         # a scan of unknown space fits known ground at wrong poses only, and one of plants fits anywhere
         is_new_ground = not best.is_informative or error.match_error.exceeds(error.variance, error.turn_variance)
-        if not self.searches_next and (self._fits(best, odometry) or (p.has_odometry and is_new_ground)):
+        if not self.searches_next and (not self._is_doubtful(best, odometry, p) or (p.has_odometry and is_new_ground)):
             return best
         starts = [p.local_from_base @ p.motion, *guesses]
         best = self._best(best, submap, sweep, starts, wide_prior, odometry, prediction)
-        if not self._fits(best, odometry) or self.searches_next:
+        if self._is_doubtful(best, odometry, p) or self.searches_next:
             centres = [prior.map_from_base, *self.other_starts]
             self.searches_next, self.other_starts = False, []
             starts = [
@@ -116,12 +117,14 @@ class ScanAligner:
             best = self._best(best, submap, sweep, starts, wide_prior, odometry, prediction)
         return best
 
-    def _fits(self, scored: ScoredMatch, odometry: Prior | None) -> bool:
-        """Whether a match needs no comparison with others: enough beams agree, and odometry does.
+    def _is_doubtful(self, scored: ScoredMatch, odometry: Prior | None, prediction: Prediction) -> bool:
+        """Whether to compare a match with others: few beams agree, or it is far from odometry after a long step.
 
         odometry: its wide prior, if any.
         """
-        return scored.quality >= self.search.below and (odometry is None or _is_near_prior(odometry, scored))
+        step = prediction.step
+        is_far = odometry is not None and not _is_near_prior(odometry, scored)
+        return scored.quality < self.search.below or (is_far and hypot(step.x, step.y) > self.search.reach)
 
     def match(self, submap: Submap, sweep: Sweep, guess: Pose2, prior: Prior) -> ScoredMatch:
         """The match from one guess, with the number of beams that contradict the submap there."""
