@@ -20,7 +20,7 @@ LAG_ERROR = 0.03  # m, rad: error of odometry that is late or comes in steps
 TURN_PER_M = 0.3  # rad a metre: one wheel of a small robot slips for a tenth of the path
 MAX_ERROR = 0.1  # m, rad: error of odometry between two keyframes while no wheel slips
 MAX_SLIP_TURN_PER_M = 1.0  # rad a metre: turn of a robot of which one wheel slips all the path
-MIN_INLIER_RATIO = 0.5  # share of the beams under which a match is doubtful, and slip no better explanation
+MIN_INLIER_RATIO = 0.5  # share of the beams that agree with the submap, under which a match may be wrong
 
 
 @dataclass(frozen=True, slots=True)

@@ -255,6 +255,20 @@ def test_where_nothing_is_known_of_the_way_a_guess_that_fits_nothing_closes_noth
     assert match_loop_closure(graph, keyframes, 5, last, unknown, blocks, config) is not None
 
 
+@pytest.mark.parametrize("drift", [(1.2, 1.2, -0.3), (-1.4, 1.4, 0.3)])
+def test_a_loop_closes_where_the_heading_drifted_by_more_than_the_graph_believes(drift):
+    robot = DriftingRobot(drift=Pose2())
+    robot.drives(islice(laps(), LAP + 5))
+    graph, keyframes, _, blocks, config, *_ = robot.back_end.search_arguments()
+    poses, last = graph.poses.copy(), len(graph.nodes) - 1
+    poses[last] += drift
+    covariance = np.diag((0.4**2, 0.4**2, 0.02**2))
+    closure = match_loop_closure(replace(graph, poses=poses), keyframes, 5, last, covariance, blocks, config)
+    assert closure is not None
+    true = robot.true_at[keyframes[5].stamp].inverse() @ robot.true
+    assert closure.i_from_j.distance(true) < 0.05
+
+
 def test_blocks_are_kept_within_their_memory_and_are_the_same_when_made_again(monkeypatch):
     robot = DriftingRobot(drift=Pose2())
     robot.drives(islice(laps(), LAP))
