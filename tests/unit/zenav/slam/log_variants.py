@@ -20,7 +20,7 @@ import gzip
 import shutil
 import sys
 from collections.abc import Callable
-from math import hypot, pi
+from math import cos, hypot, pi, sin
 from pathlib import Path
 
 import numpy as np
@@ -65,7 +65,8 @@ def drifting(step: Pose2, rng: Generator) -> Pose2:
 def jumping(step: Pose2, rng: Generator) -> Pose2:
     if rng.random() >= hypot(step.x, step.y) / 40:
         return step
-    return step @ Pose2(0, 0, rng.uniform(-pi, pi)) @ Pose2(0.8, 0, 0) @ Pose2(0, 0, rng.normal(0, 0.2))
+    heading = rng.uniform(-pi, pi)
+    return step @ Pose2(0.8 * cos(heading), 0.8 * sin(heading), rng.normal(0, 0.2))
 
 
 RANGES: dict[str, Ranges] = {

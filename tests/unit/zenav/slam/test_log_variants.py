@@ -5,10 +5,11 @@ import gzip
 from itertools import pairwise
 from math import hypot
 
+import numpy as np
 import pytest
 
 from shared.geometry import Pose2
-from tests.unit.zenav.slam.log_variants import RANGES, STEPS, write_variants
+from tests.unit.zenav.slam.log_variants import RANGES, STEPS, jumping, write_variants
 
 LOG = (
     "# a comment\n"
@@ -77,10 +78,18 @@ def test_odometry_changes_and_nothing_else(kind, tmp_path):
         assert (poses[0].x, poses[0].y, poses[0].yaw) == POSES[0]
         steps = [a.inverse() @ b for a, b in pairwise(poses)]
         true = [Pose2(*a).inverse() @ Pose2(*b) for a, b in pairwise(POSES)]
-        for step, own in zip(steps, true):
+        for step, own in zip(steps, true):  # these are too short for a jump
             off = own.inverse() @ step
-            is_jump = kind == "jumps" and hypot(off.x, off.y) > 1e-4
-            assert hypot(off.x, off.y) == pytest.approx(0.8, abs=1e-3) if is_jump else hypot(off.x, off.y) < 0.1
+            assert hypot(off.x, off.y) < 0.1
+            assert abs(off.yaw) < 0.1
+
+
+def test_a_jump_is_as_long_as_it_says_in_any_direction_and_turns_little():
+    step, rng = Pose2(40, 0, 1), np.random.default_rng(1)
+    offs = [step.inverse() @ jumping(step, rng) for _ in range(200)]
+    assert [hypot(off.x, off.y) for off in offs] == pytest.approx([0.8] * 200)
+    assert max(abs(off.yaw) for off in offs) < 1
+    assert {(off.x > 0, off.y > 0) for off in offs} == {(a, b) for a in (False, True) for b in (False, True)}
 
 
 def test_every_kind_is_tested():
