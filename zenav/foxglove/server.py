@@ -22,11 +22,12 @@ from shared import topics
 from shared.codec import CodecError, envelope_of
 from shared.config import Robot, UserError, load_robot
 from shared.messages import MapUpdate, Velocity
+from shared.runners.client import CLOCK_AGE
 from shared.runners.inbox import Inbox, Slot
 from shared.runners.transport import LatchedReader, stack_address
 from shared.secure_folder import secure_folder
-from shared.stamps import precedes
 from shared.topics import topic_of
+from shared.types import NS_PER_S
 from zenav.client import Client
 from zenav.console.shutdown import StopFlag, stop_on_signal
 from zenav.foxglove.app import App, Onlooker
@@ -226,10 +227,7 @@ class LiveView:
         self._driving = command is not None and command != (0.0, 0.0)
         if command is not None:
             self.client.publish(topics.TELEOP(Velocity(self.client.now(), *command, "")))
-        at = self.client.now()
-        if precedes(at, self._told, at):  # an estimate: it may step back a little, but an app takes that for a seek
-            at = self._told
-        self._told = at
+        at = self._told = time_to_show(self.client.now(), self._told)
         for server in self._servers:
             server.broadcast_time(at)
         if self._channels.wanted(MAP_ROW.topic) and self._look():
@@ -273,6 +271,15 @@ class LiveView:
         sys.stderr.flush()
         for server in self._servers:
             server.publish_status(text, StatusLevel.Warning if trouble else StatusLevel.Info)
+
+
+def time_to_show(at: int, shown: int) -> int:
+    """The time that clients get at `at` after they got `shown` (ns of the stack's clock).
+
+    The client's clock runs on between the simulator's ticks, so a late tick sets it back. An app takes that for a seek.
+    The time stands until the clock has caught up, unless it went back farther than a late tick can set it.
+    """
+    return shown if 0 < shown - at <= round(CLOCK_AGE * NS_PER_S) else at
 
 
 def _is_loopback(host: str) -> bool:
