@@ -87,10 +87,9 @@ class KissRegistrar(LineRegistrar):
 
 def _fuse(match: Match, prior: Prior) -> Pose2:
     """The mean of a match and the prior, weighted by their information: an update of an extended Kalman filter."""
-    own = np.diag((1 / prior.sigma**2, 1 / prior.sigma**2, 1 / prior.sigma_turn**2))
     at, guess = match.map_from_base, prior.map_from_base
     off = np.array((at.x - guess.x, at.y - guess.y, wrapped(at.yaw - guess.yaw)))
-    x, y, yaw = np.linalg.solve(match.information + own, match.information @ off).tolist()
+    x, y, yaw = np.linalg.solve(match.information + prior.information, match.information @ off).tolist()
     return Pose2(guess.x + x, guess.y + y, wrapped(guess.yaw + yaw))
 
 

@@ -34,6 +34,10 @@ MAX_SQUARED_RATIO = 9.0  # of a squared error to the variance: a slip or a wrong
 N_EVENNESS_STEPS = 3  # steps that are compared
 MAX_SIGMA_SHARE = 0.5  # of a motion, as sigma of odometry: scans that are wrong must not make it useless
 MAX_STANDING_SIGMA = 0.03  # m, rad: the same for a robot that stands
+MIN_SIDE_SHARE = 0.02  # m a metre that wheels slip sideways, as sigma, at least
+USUAL_RATE = 0.02  # share by which a comparison changes the usual variance
+MIN_USUAL_VARIANCE = 1e-6  # m^2, rad^2: a robot that stands has no error
+MEDIAN_OF_SQUARES = 0.455  # median of a squared error to its variance: chi-squared with one degree of freedom
 UNEVEN_SIGMA_SHARE = 0.5  # of the range of the recent steps, as standard deviation of the next one
 MAX_JITTER_RATIO = 4.0  # var(w) / var(n); over it, odometry is followed without smoothing
 MIN_JITTER_RATIO = 0.02
@@ -100,6 +104,30 @@ class JitterEstimate:
         return (sqrt(q * q + 4 * q) - q) / 2
 
 
+class ErrorVariance:
+    """Variance of an error of odometry over a comparison, m^2 or rad^2.
+
+    recent: follows the last comparisons.  usual: from the median of the squared errors, which slips do not change.
+    """
+
+    def __init__(self, variance: float) -> None:
+        self.recent = self.usual = variance
+
+    def add(self, error: float, bound: float, match_variance: float) -> None:
+        """Adds an error, m or rad, of which the square counts up to `bound` times the recent variance.
+
+        match_variance: of the errors of both matches, which are not odometry's.
+        """
+        squared = max(min(error * error, bound * self.recent) - match_variance, 0.0)
+        self.recent += LEARNING_RATE * (squared - self.recent)
+        is_larger = squared > MEDIAN_OF_SQUARES * self.usual
+        self.usual = max(self.usual * (1 + USUAL_RATE if is_larger else 1 - USUAL_RATE), MIN_USUAL_VARIANCE)
+
+    def forget_large(self) -> None:
+        """The recent errors were those of matches."""
+        self.recent = min(self.recent, self.usual)
+
+
 class OdometryError:
     """Recent errors of odometry, measured by matches: scale, jitter, and the remaining variance.
 
@@ -108,10 +136,11 @@ class OdometryError:
     """
 
     def __init__(self) -> None:
-        self.variance, self.turn_variance = 0.015**2, 0.01**2  # m^2, rad^2: typical of a wheeled robot
+        # typical of a wheeled robot; `side` is what the error of the turn does not explain
+        self.position, self.side, self.turn = ErrorVariance(0.015**2), ErrorVariance(0.015**2), ErrorVariance(0.01**2)
         self.by_odometry, self.by_match, self.seconds = Pose2(), Pose2(), 0.0  # motions since the last comparison
         self.forward_scale, self.turn_scale = ScaleEstimate(0.05), ScaleEstimate(0.004)
-        self.jitter, self.turn_jitter = JitterEstimate(self.variance), JitterEstimate(self.turn_variance)
+        self.jitter, self.turn_jitter = JitterEstimate(self.position.recent), JitterEstimate(self.turn.recent)
         self.mean_comparison_s = COMPARISON_S
         self.match_error = MatchError()
         self._reset_scale_sums()
@@ -141,10 +170,14 @@ class OdometryError:
         information: (3, 3) of the match. A match that leaves a direction open starts the comparison again.
         """
         self.last_path, self.last_turn = hypot(motion.x, motion.y), abs(motion.yaw)
-        self.match_error.add(self.scaled_step(step), motion)
+        matches = self.match_error
+        matches.add(self.scaled_step(step), motion)
         if float(np.linalg.eigvalsh(information[:2, :2])[0]) < 1 / MAX_MATCH_SIGMA_M**2:
             self.by_odometry, self.by_match, self.seconds = Pose2(), Pose2(), 0.0
             self.jitter.last = self.turn_jitter.last = None
+            if matches.variance > 0 or matches.turn_variance > 0:
+                for error in (self.position, self.side, self.turn):
+                    error.forget_large()
             return
         if seconds <= MAX_JITTER_S:
             difference = self.scaled_step(step).inverse() @ motion
@@ -157,11 +190,10 @@ class OdometryError:
         self.mean_comparison_s += LEARNING_RATE * (self.seconds - self.mean_comparison_s)
         self.by_odometry, self.by_match, self.seconds = Pose2(), Pose2(), 0.0
         off = self.scaled_step(step).inverse() @ motion
-        bound, matches = MAX_SQUARED_RATIO if seconds <= MAX_JITTER_S else inf, self.match_error
-        squared = min(off.x**2 + off.y**2, bound * self.variance) - 2 * matches.variance  # both ends of the motion err
-        squared_turn = min(off.yaw**2, bound * self.turn_variance) - 2 * matches.turn_variance
-        self.variance += LEARNING_RATE * (max(squared, 0.0) - self.variance)
-        self.turn_variance += LEARNING_RATE * (max(squared_turn, 0.0) - self.turn_variance)
+        bound = MAX_SQUARED_RATIO if seconds <= MAX_JITTER_S else inf
+        self.position.add(hypot(off.x, off.y), bound, 2 * matches.variance)  # both ends of the motion err
+        self.side.add(off.y - 0.5 * motion.x * off.yaw, bound, matches.variance)
+        self.turn.add(off.yaw, bound, 2 * matches.turn_variance)
         self._add_to_scale(step, motion)
 
     def _add_to_scale(self, step: Pose2, motion: Pose2) -> None:
@@ -202,10 +234,16 @@ class OdometryError:
         path, turn = max(hypot(step.x, step.y), self.last_path), max(abs(step.yaw), self.last_turn)
         max_sigma = MAX_STANDING_SIGMA + MAX_SIGMA_SHARE * path
         max_turn_sigma = MAX_STANDING_SIGMA + MAX_SIGMA_SHARE * turn + TURN_PER_M * path
-        by_error, by_turn_error = trust * sqrt(self.variance), trust * sqrt(self.turn_variance)
+        # the turn may come early or late in the step
+        min_side_sigma = share * config.prior + hypot(step.x, step.y) * (MIN_SIDE_SHARE + abs(step.yaw) / 2)
+        by_error, by_side_error = trust * sqrt(self.position.recent), trust * sqrt(self.side.recent)
+        by_turn_error = trust * sqrt(self.turn.recent)
+        after = before @ step
         return Prior(
-            map_from_base=before @ step,
+            map_from_base=after,
+            moved=(after.x - before.x, after.y - before.y),
             sigma=sigma_factor * (max(min_sigma, min(by_error, max_sigma)) + uneven),
+            sigma_side=sigma_factor * max(min_side_sigma, min(by_side_error, max_sigma)),
             sigma_turn=sigma_factor * (max(min_turn_sigma, min(by_turn_error, max_turn_sigma)) + uneven_turn),
             skew=skew,
             match_variance=self.match_error.variance,

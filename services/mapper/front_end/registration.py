@@ -17,7 +17,7 @@ from pydantic import Field
 from services.mapper.front_end.deskew import remove_twist
 from services.mapper.front_end.point_map import PointMap, nearest
 from shared.config import Section
-from shared.geometry import Pose2
+from shared.geometry import Pose2, wrapped
 from shared.types import Bools, Float64s, Int64s
 
 Registrar = Literal["line", "kiss"]
@@ -70,6 +70,8 @@ class Match:
 class Prior:
     """The pose expected from odometry, with the standard deviations of the last step: sigma m, sigma_turn rad.
 
+    sigma_side: m, across the heading, beyond what an error of the turn explains; None: as `sigma`.
+    moved: m, the step in `map`. An error of its turn moves the robot across it, by half of the step's length.
     skew: share of the step's time that the sweep took; 0 if registration shall not estimate the sweep's twist.
     match_variance, match_turn_variance: m^2 and rad^2, of a match beyond what its beams claim; see `MatchError`.
     """
@@ -77,9 +79,36 @@ class Prior:
     map_from_base: Pose2
     sigma: float
     sigma_turn: float
+    sigma_side: float | None = None
+    moved: tuple[float, float] = (0.0, 0.0)
     skew: float = 0.0
     match_variance: float = 0.0
     match_turn_variance: float = 0.0
+
+    @property
+    def modes(self) -> Float64s:
+        """(3, 3) M in `map`: each column is an independent error of (x, y, yaw), so M M^T is the covariance.
+
+        The covariance of dead reckoning: Siegwart & Nourbakhsh, "Introduction to Autonomous Mobile Robots", 5.2.4.
+        """
+        c, s, (x, y) = cos(self.map_from_base.yaw), sin(self.map_from_base.yaw), self.moved
+        side = self.sigma if self.sigma_side is None else self.sigma_side
+        turn = self.sigma_turn
+        return np.array(
+            ((self.sigma * c, -side * s, -turn * y / 2), (self.sigma * s, side * c, turn * x / 2), (0, 0, turn))
+        )
+
+    @property
+    def information(self) -> Float64s:
+        """(3, 3) of (x, y, yaw) in `map`."""
+        inverse = np.linalg.inv(self.modes)
+        return np.asarray(inverse.T @ inverse)
+
+    def squared_sigmas(self, pose: Pose2) -> float:
+        """Squared Mahalanobis distance of a pose in `map`."""
+        guess = self.map_from_base
+        off = np.array((pose.x - guess.x, pose.y - guess.y, wrapped(pose.yaw - guess.yaw)))
+        return float(off @ self.information @ off)
 
 
 class LineRegistrar:
@@ -115,7 +144,7 @@ class LineRegistrar:
         c = self.config
         pose, twist = _align(
             points, normals, np.zeros(len(points)) if back is None else back, _row(start), _row(prior.map_from_base),
-            prior.sigma, prior.sigma_turn, prior.match_variance, prior.match_turn_variance,
+            prior.information, prior.match_variance, prior.match_turn_variance,
             0.0 if back is None else prior.skew, c.gate, c.final_gate, c.kernel, c.noise, c.iterations, *self.map.index,
         )  # fmt: skip
         if back is not None:
@@ -217,7 +246,7 @@ def _normal_equations(  # type: ignore[no-untyped-def]  # compiled: numba finds 
 
 @njit(cache=True, nogil=True)
 def _align(  # type: ignore[no-untyped-def]  # compiled: numba finds the types; -> pose (3,), twist
-    source, directions, back, start, prior, sigma, sigma_turn, match_variance, match_turn_variance, skew,
+    source, directions, back, start, prior, prior_information, match_variance, match_turn_variance, skew,
     gate, final_gate, kernel, noise, iterations, points, following, keys, heads,
 ):  # fmt: skip
     pose, twist = start.copy(), 0.0
@@ -237,12 +266,12 @@ def _align(  # type: ignore[no-untyped-def]  # compiled: numba finds the types; 
         hessian *= scale
         gradient *= scale
         _widen(hessian, gradient, match_variance, match_turn_variance)
-        hessian[0, 0] += 1.0 / sigma**2
-        hessian[1, 1] += 1.0 / sigma**2
-        hessian[2, 2] += 1.0 / sigma_turn**2
-        gradient[0] += (pose[0] - prior[0]) / sigma**2
-        gradient[1] += (pose[1] - prior[1]) / sigma**2
-        gradient[2] += off_turn / sigma_turn**2
+        for a in range(3):
+            x, y, turn = prior_information[a]
+            hessian[a, 0] += x
+            hessian[a, 1] += y
+            hessian[a, 2] += turn
+            gradient[a] += x * (pose[0] - prior[0]) + y * (pose[1] - prior[1]) + turn * off_turn
         step = _solve(hessian, gradient)
         pose -= step
         if skew > 0.0:

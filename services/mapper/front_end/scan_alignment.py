@@ -26,6 +26,8 @@ from shared.geometry import Pose2
 
 WRONG_ODOMETRY_FACTOR = 10.0  # of the prior's standard deviations where odometry was wrong
 SLIP_PENALTY = 0.1  # share of the beams that must support a pose as far off odometry as slip reaches
+ODOMETRY_PENALTY = 0.4  # share of the beams that must support a pose far outside of odometry's errors
+ODOMETRY_PENALTY_SCALE = 20.0  # squared sigmas at which half of it counts
 MAX_PRIOR_SIGMAS = 3.0  # from odometry to a pose that fits badly
 ODOMETRY_TOLERANCE = 0.15  # m, rad: lag and steps of odometry, beyond what the drive can do
 
@@ -103,7 +105,7 @@ class ScanAligner:
         best = self.match(submap, sweep, prior.map_from_base, wide_prior if self.searches_next else prior)
         odometry = wide_prior if p.has_odometry and not self.searches_next else None
         # a scan of unknown space fits known ground at wrong poses only, and one of plants fits anywhere
-        is_new_ground = not best.is_informative or error.match_error.exceeds(error.variance, error.turn_variance)
+        is_new_ground = not best.is_informative or error.match_error.exceeds(error.position.recent, error.turn.recent)
         if not self.searches_next and (not self._is_doubtful(best, odometry, p) or (p.has_odometry and is_new_ground)):
             return best
         starts = [p.local_from_base @ p.motion, *guesses]
@@ -164,7 +166,8 @@ class ScanAligner:
     def _slip_penalty(self, scored: ScoredMatch, odometry: Prior | None, prediction: Prediction) -> float:
         """Share of the beams that must support a match, by its offset from odometry and from the last pose.
 
-        0 without odometry; inf where the drive cannot have gone so far since the last good match.
+        0 without odometry; inf where the drive cannot have gone so far since the last good match. The usual errors of
+        odometry count with a kernel of Geman and McClure, so a slip is not excluded.
         """
         if odometry is None:
             return 0.0
@@ -179,12 +182,14 @@ class ScanAligner:
             is_near = hypot(off.x, off.y) <= ODOMETRY_TOLERANCE + 1.5 * max_path
             if is_near and abs(off.yaw) <= ODOMETRY_TOLERANCE + 1.5 * max_turn:
                 squared_ratio = min(squared_ratio, bound.squared_ratio(off, max_path, max_turn))
-        return SLIP_PENALTY * squared_ratio
+        squared = _squared_sigmas(odometry, scored)
+        return SLIP_PENALTY * squared_ratio + ODOMETRY_PENALTY * squared / (squared + ODOMETRY_PENALTY_SCALE)
 
 
 def _is_near_prior(wide_prior: Prior, scored: ScoredMatch) -> bool:
-    """Whether a match lies within MAX_PRIOR_SIGMAS of the prior, which is WRONG_ODOMETRY_FACTOR times too wide."""
-    off = wide_prior.map_from_base.inverse() @ scored.match.map_from_base
-    near = MAX_PRIOR_SIGMAS / WRONG_ODOMETRY_FACTOR * wide_prior.sigma
-    near_turn = MAX_PRIOR_SIGMAS / WRONG_ODOMETRY_FACTOR * wide_prior.sigma_turn
-    return hypot(off.x, off.y) <= near and abs(off.yaw) <= near_turn
+    return _squared_sigmas(wide_prior, scored) <= MAX_PRIOR_SIGMAS**2
+
+
+def _squared_sigmas(wide_prior: Prior, scored: ScoredMatch) -> float:
+    """Squared distance of a match from a prior that is WRONG_ODOMETRY_FACTOR times too wide, in its proper sigmas."""
+    return WRONG_ODOMETRY_FACTOR**2 * wide_prior.squared_sigmas(scored.match.map_from_base)

@@ -66,3 +66,39 @@ def test_a_step_with_an_impossible_stamp_has_the_sigma_of_a_whole_one(seconds):
     burst = error.prior(config, Pose2(), step, seconds=seconds)
     assert (burst.sigma, burst.sigma_turn) == (whole.sigma, whole.sigma_turn)
     assert error.prior(config, Pose2(), step, seconds=0.02).sigma < whole.sigma
+
+
+def test_what_wheels_never_do_is_certain():
+    """Turns that err by 0.05 rad, over steps of 1 m: they move the robot sideways, by half of that."""
+    rng, error = np.random.default_rng(1), OdometryError()
+    for off in rng.normal(0, 0.05, 200):
+        error.add_match(Pose2(1.0, off / 2, off), Pose2(1.0, 0.0, 0.0), INFORMATION, 1.0)
+    prior = error.prior(RegistrationConfig(), Pose2(), Pose2(1.0, 0.0, 0.0))
+    covariance = prior.modes @ prior.modes.T
+    assert prior.sigma_turn > 0.08
+    assert prior.sigma_side is not None
+    assert prior.sigma_side < 0.03
+    assert sqrt(covariance[1, 1]) > 0.04
+    assert covariance[1, 2] > 0.7 * sqrt(covariance[1, 1] * covariance[2, 2])
+
+
+def test_errors_that_prove_to_be_those_of_matches_are_forgotten():
+    """Some matches among plants were wrong before they were doubted, and odometry was taken for bad."""
+    config, error, step = RegistrationConfig(), OdometryError(), Pose2(0.2, 0.0, 0.0)
+    rng = np.random.default_rng(2)
+
+    def drive(sigma: float, n: int) -> float:
+        """The sum of both sigmas after n steps by odometry that errs this much, m and a fifth of it in rad."""
+        for off, side, turn in rng.normal(0, sigma, (n, 3)):
+            error.add_match(Pose2(0.2 + off, side, turn / 5), step, INFORMATION, 0.6)
+        prior = error.prior(config, Pose2(), step)
+        assert prior.sigma_side is not None
+        return prior.sigma + prior.sigma_side
+
+    before, after = drive(0.02, 300), drive(0.2, 10)
+    assert after > 2 * before
+    error.add_match(step, step, INFORMATION / 100, 0.6)
+    assert drive(0.0, 0) == after, "a corridor, or a scan with few beams"
+    error.match_error.doubt()
+    error.add_match(step, step, INFORMATION / 100, 0.6)
+    assert drive(0.0, 0) < 1.5 * before
