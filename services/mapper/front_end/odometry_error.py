@@ -136,7 +136,7 @@ class OdometryError:
     """
 
     def __init__(self) -> None:
-        # typical of a wheeled robot; `side` is what the error of the turn does not explain
+        # typical of a wheeled robot; `side`: of the position, across the heading
         self.position, self.side, self.turn = ErrorVariance(0.015**2), ErrorVariance(0.015**2), ErrorVariance(0.01**2)
         self.by_odometry, self.by_match, self.seconds = Pose2(), Pose2(), 0.0  # motions since the last comparison
         self.forward_scale, self.turn_scale = ScaleEstimate(0.05), ScaleEstimate(0.004)
@@ -192,7 +192,7 @@ class OdometryError:
         off = self.scaled_step(step).inverse() @ motion
         bound = MAX_SQUARED_RATIO if seconds <= MAX_JITTER_S else inf
         self.position.add(hypot(off.x, off.y), bound, 2 * matches.variance)  # both ends of the motion err
-        self.side.add(off.y - 0.5 * motion.x * off.yaw, bound, matches.variance)
+        self.side.add(off.y, bound, matches.variance)
         self.turn.add(off.yaw, bound, 2 * matches.turn_variance)
         self._add_to_scale(step, motion)
 
@@ -238,10 +238,8 @@ class OdometryError:
         min_side_sigma = share * config.prior + hypot(step.x, step.y) * (MIN_SIDE_SHARE + abs(step.yaw) / 2)
         by_error, by_side_error = trust * sqrt(self.position.recent), trust * sqrt(self.side.recent)
         by_turn_error = trust * sqrt(self.turn.recent)
-        after = before @ step
         return Prior(
-            map_from_base=after,
-            moved=(after.x - before.x, after.y - before.y),
+            map_from_base=before @ step,
             sigma=sigma_factor * (max(min_sigma, min(by_error, max_sigma)) + uneven),
             sigma_side=sigma_factor * max(min_side_sigma, min(by_side_error, max_sigma)),
             sigma_turn=sigma_factor * (max(min_turn_sigma, min(by_turn_error, max_turn_sigma)) + uneven_turn),

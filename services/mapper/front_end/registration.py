@@ -70,8 +70,7 @@ class Match:
 class Prior:
     """The pose expected from odometry, with the standard deviations of the last step: sigma m, sigma_turn rad.
 
-    sigma_side: m, across the heading, beyond what an error of the turn explains; None: as `sigma`.
-    moved: m, the step in `map`. An error of its turn moves the robot across it, by half of the step's length.
+    sigma_side: m, across the heading, as wheels hardly move a robot sideways; None: as `sigma`.
     skew: share of the step's time that the sweep took; 0 if registration shall not estimate the sweep's twist.
     match_variance, match_turn_variance: m^2 and rad^2, of a match beyond what its beams claim; see `MatchError`.
     """
@@ -80,29 +79,18 @@ class Prior:
     sigma: float
     sigma_turn: float
     sigma_side: float | None = None
-    moved: tuple[float, float] = (0.0, 0.0)
     skew: float = 0.0
     match_variance: float = 0.0
     match_turn_variance: float = 0.0
 
     @property
-    def modes(self) -> Float64s:
-        """(3, 3) M in `map`: each column is an independent error of (x, y, yaw), so M M^T is the covariance.
-
-        The covariance of dead reckoning: Siegwart & Nourbakhsh, "Introduction to Autonomous Mobile Robots", 5.2.4.
-        """
-        c, s, (x, y) = cos(self.map_from_base.yaw), sin(self.map_from_base.yaw), self.moved
-        side = self.sigma if self.sigma_side is None else self.sigma_side
-        turn = self.sigma_turn
-        return np.array(
-            ((self.sigma * c, -side * s, -turn * y / 2), (self.sigma * s, side * c, turn * x / 2), (0, 0, turn))
-        )
-
-    @property
     def information(self) -> Float64s:
         """(3, 3) of (x, y, yaw) in `map`."""
-        inverse = np.linalg.inv(self.modes)
-        return np.asarray(inverse.T @ inverse)
+        c, s = cos(self.map_from_base.yaw), sin(self.map_from_base.yaw)
+        along = 1 / self.sigma**2
+        across = along if self.sigma_side is None else 1 / self.sigma_side**2
+        xx, xy, yy = along * c * c + across * s * s, (along - across) * c * s, along * s * s + across * c * c
+        return np.array(((xx, xy, 0.0), (xy, yy, 0.0), (0.0, 0.0, 1 / self.sigma_turn**2)))
 
     def squared_sigmas(self, pose: Pose2) -> float:
         """Squared Mahalanobis distance of a pose in `map`."""

@@ -155,26 +155,12 @@ def test_kiss_believes_odometry_as_far_as_it_is_doubted():
     assert abs(found[2]) < 0.03
 
 
-@given(st.floats(0.1, 1.5), st.floats(-0.1, 0.1), st.floats(-pi, pi))
-def test_the_covariance_of_a_step_is_that_of_many_arcs(length, turn, yaw):
-    """Brute force: speed and turn of each arc err evenly over its course, and a little slip goes sideways."""
-    rng = np.random.default_rng(0)
-    before, n_parts, sigmas = Pose2(3.0, -2.0, yaw), 40, (0.02, 0.005, 0.03)
-    off, side, off_turn = rng.normal(0, 1, (3, 4000)) * np.array(sigmas)[:, None]
-    headings = yaw + (turn + off_turn) * (np.arange(n_parts)[:, None] + 0.5) / n_parts
-    parts = (length + off) / n_parts
-    x = before.x + (parts * np.cos(headings)).sum(axis=0) - side * np.sin(yaw + turn)
-    y = before.y + (parts * np.sin(headings)).sum(axis=0) + side * np.cos(yaw + turn)
-    middle = headings.mean() - off_turn.mean() / 2
-    after = Pose2(before.x + length * np.cos(middle), before.y + length * np.sin(middle), yaw + turn)
-    prior = Prior(after, sigmas[0], sigmas[2], sigmas[1], (after.x - before.x, after.y - before.y))
-    sampled = np.cov(np.stack((x, y, off_turn)))
-    scale = np.sqrt(np.diag(sampled))
-    assert_allclose(prior.modes @ prior.modes.T / np.outer(scale, scale), sampled / np.outer(scale, scale), atol=0.2)
-    assert_allclose(prior.information @ prior.modes @ prior.modes.T, np.eye(3), atol=1e-6)
-    assert_allclose(
-        prior.squared_sigmas(Pose2(*(prior.modes[:, 2] * 2 + (after.x, after.y, after.yaw)))), 4.0, rtol=1e-6
-    )
+@given(st.floats(-pi, pi), st.floats(0.01, 1.0), st.floats(0.001, 1.0), st.floats(-2, 2), st.floats(-2, 2))
+def test_a_prior_has_its_deviations_along_and_across_the_heading(yaw, sigma, side, n_along, n_across):
+    prior = Prior(Pose2(3.0, -2.0, yaw), sigma, 0.1, side)
+    pose = prior.map_from_base @ Pose2(n_along * sigma, n_across * side, 0.2)
+    assert_allclose(prior.squared_sigmas(pose), n_along**2 + n_across**2 + 4, rtol=1e-6)
+    assert_allclose(np.linalg.eigvalsh(prior.information).min(), 1 / max(sigma, side, 0.1) ** 2, rtol=1e-6)
 
 
 @pytest.mark.parametrize("kind", REGISTRARS)
