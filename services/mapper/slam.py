@@ -147,6 +147,7 @@ class Slam:
             silent=tracked.beams.silent,
             covariance=self.front_end.uncertainty.map_covariance,
             odometry_residual=self.front_end.keyframe_off,
+            by_odometry=self.front_end.by_odometry if self.odometry_scale <= 1 else None,
         )
         odometry = self.front_end.odometry_error
         if not self.is_localized:

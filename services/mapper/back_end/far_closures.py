@@ -2,7 +2,8 @@
 """Far closures: loop closures after a long path, where the pose has drifted out of the ordinary window.
 
 The search for closures covers a few metres. After a long path outdoors, or over parts that only odometry joins, the
-robot may be tens of metres off. So places within its drift are searched as well, one at a time. One match so wide may
+robot may be tens of metres off. So places within its drift are searched as well, one at a time. The drift is about the
+graph's pose and, in turn, about that by odometry alone: matches of plants may be wrong by more. One match so wide may
 be wrong, as buildings repeat themselves. It is a hypothesis: the next keyframes are matched where it puts them. Its
 closures count once enough of them agree over a long enough path, and one of their keyframes fits nowhere else as well.
 The best match is compared first, as a keyframe of plants or of one wall fits at many places.
@@ -137,21 +138,20 @@ def find_far_closure(
     covariances: (n, 3, 3) of the nodes relative to the newest.
     keyframes, driven: (n,) of the graph's nodes; driven is the path length up to each, m.
     """
-    search = _Search(graph, keyframes, submaps, config, covariances, drift_limits(covariances, driven, config))
+    limits = drift_limits(covariances, driven, config)
+    search = _Search(graph, keyframes, submaps, config, covariances, limits)
     if hypothesis is not None:
         followed = search.follow(hypothesis)
         if hypothesis.best is None:
             return followed
         is_unique = _is_unique(graph, keyframes, driven, submaps, config, hypothesis.best)
         return replace(followed, compared=hypothesis.best.j, is_unique=is_unique, is_ambiguous=not is_unique)
-    places = distant_places(graph.poses, search.limits, config)
-    if not len(places):
-        return FarSearch()
-    turn = N_IN_TURN * int(driven[-1] / config.search_interval) + np.arange(N_IN_TURN)
-    for row in np.unique(places[np.append(0, turn % len(places))]).tolist():  # the nearest one, and others in turn
-        found = search.within_drift(row, MIN_SCORE)
-        if found is not None and found.is_accepted(config, FIRST_SHARE):
-            return FarSearch(found.constraint(graph, row, len(graph.nodes) - 1, config), found.margin)
+    n_searches = int(driven[-1] / config.search_interval)
+    guesses = by_graph(graph), by_odometry(graph, keyframes)
+    for map_from_last in guesses if n_searches % 2 else guesses[::-1]:
+        places = distant_places(graph.poses, map_from_last, limits, config)
+        if len(places):
+            return search.in_turn(places, map_from_last, n_searches // 2)
     return FarSearch()
 
 
@@ -170,13 +170,19 @@ def _is_unique(
     before, covariances, keyframes, driven = visits_before(graph, keyframes, driven, closure.j)
     limits = drift_limits(covariances, driven, config)
     search = _Search(before, keyframes, submaps, config, covariances, limits)
-    places = distant_places(before.poses, limits, config)
     pose = pose_of(graph.poses[int(np.searchsorted(graph.nodes, closure.i))]) @ closure.i_from_j
     found = search.near(pose)
-    if found is None or not 0 < len(places) <= MAX_PLACES:
+    if found is None:
         return False
-    row, best = found
-    return not any(search.has_rival(place, row, best) for place in places.tolist())
+    n_places = 0
+    for map_from_last in (by_graph(before), by_odometry(before, keyframes)):
+        places = distant_places(before.poses, map_from_last, limits, config)
+        n_places += len(places)
+        if len(places) > MAX_PLACES or any(
+            search.has_rival(place, pose_of(map_from_last[place]), *found) for place in places.tolist()
+        ):
+            return False
+    return n_places > 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,11 +196,21 @@ class _Search:
     covariances: Float64s
     limits: Float64s
 
-    def within_drift(self, row: int, min_score: float) -> PlaceMatch | None:
-        """Returns the match with the place of a row, anywhere within the drift; None if too many poses fit."""
+    def within_drift(self, row: int, map_from_last: Pose2, min_score: float) -> PlaceMatch | None:
+        """Returns the match with the place of a row, within the drift of a guess; None if too many poses fit."""
         drifted = self.covariances[row], MAX_SIGMAS, float(self.limits[row])
-        window = SearchWindow.of(pose_of(self.graph.poses[-1]), *drifted, self.config)
+        window = SearchWindow.of(map_from_last, *drifted, self.config)
         return self._match(row, replace(window, min_score=min_score, max_steps=MAX_STEPS, is_even=True))
+
+    def in_turn(self, places: Int64s, map_from_last: Float64s, turn: int) -> FarSearch:
+        """Matches with the nearest place, and with others in turn.  map_from_last: (n, 3) guesses, by node."""
+        chosen = np.append(0, (N_IN_TURN * turn + np.arange(N_IN_TURN)) % len(places))
+        for row in np.unique(places[chosen]).tolist():
+            found = self.within_drift(row, pose_of(map_from_last[row]), MIN_SCORE)
+            if found is not None and found.is_accepted(self.config, FIRST_SHARE):
+                closure = found.constraint(self.graph, row, len(self.graph.nodes) - 1, self.config)
+                return FarSearch(closure, found.margin)
+        return FarSearch()
 
     def _match(self, row: int, window: SearchWindow) -> PlaceMatch | None:
         last = len(self.graph.nodes) - 1
@@ -218,9 +234,9 @@ class _Search:
         fits = [(m.margin, row, m) for row, m in matches if m is not None and m.is_accepted(config, FOLLOWING_SHARE)]
         return max(fits, key=lambda one: one[:2])[1:] if fits else None
 
-    def has_rival(self, place: int, row: int, best: PlaceMatch) -> bool:
+    def has_rival(self, place: int, map_from_last: Pose2, row: int, best: PlaceMatch) -> bool:
         """Whether the keyframe fits at another pose at a place nearly as well as at its best pose, near a row."""
-        found = self.within_drift(place, max(self.config.min_score, MAX_RIVAL_RATIO * best.score))
+        found = self.within_drift(place, map_from_last, max(self.config.min_score, MAX_RIVAL_RATIO * best.score))
         if found is None:
             return True
         pose = self._pose(row, best)
@@ -252,12 +268,35 @@ def drift_limits(covariances: Float64s, driven: Float64s, config: LoopClosureCon
     return np.where(is_beyond_window(covariances, driven, config), drift, 0.0)
 
 
-def distant_places(poses: Float64s, limits: Float64s, config: LoopClosureConfig) -> Int64s:
+def by_graph(graph: Graph) -> Float64s:
+    """Returns (n, 3) m, m, rad: for each node, the last one's pose in `map`, which is the same."""
+    return np.broadcast_to(graph.poses[-1], graph.poses.shape)
+
+
+def by_odometry(graph: Graph, keyframes: Sequence[Keyframe]) -> Float64s:
+    """Returns (n, 3) m, m, rad: for each node, the last one's pose in `map` by odometry alone since that node.
+
+    It is NaN where odometry is not known.
+    """
+    poses = np.array(
+        [
+            (np.nan, np.nan, np.nan) if (k := keyframe.by_odometry) is None else (k.x, k.y, k.yaw)
+            for keyframe in keyframes
+        ]
+    )
+    turn = graph.poses[:, 2] - poses[:, 2]
+    c, s = np.cos(turn), np.sin(turn)
+    x, y, _ = (poses[-1] - poses).T
+    return np.column_stack((graph.poses[:, 0] + c * x - s * y, graph.poses[:, 1] + s * x + c * y, turn + poses[-1, 2]))
+
+
+def distant_places(poses: Float64s, map_from_last: Float64s, limits: Float64s, config: LoopClosureConfig) -> Int64s:
     """Returns rows (k,) of nodes, one for each place, where the last node may be by its drift; nearest first.
 
-    poses: (n, 3) m, m, rad in `map`.  limits: (n,) of `drift_limits`.
+    poses: (n, 3) m, m, rad in `map`.  map_from_last: (n, 3) guesses of the last node's pose.
+    limits: (n,) of `drift_limits`.
     """
-    distance = np.hypot(*(poses[:, :2] - poses[-1, :2]).T)
+    distance = np.hypot(*(poses[:, :2] - map_from_last[:, :2]).T)
     rows: Int64s = np.flatnonzero((limits > 0) & (distance < config.view_radius + limits))
     rows = rows[np.argsort(distance[rows], kind="stable")]
     places: list[int] = []

@@ -42,7 +42,7 @@ NO_COVARIANCE = np.zeros((3, 3), np.float32)
 NO_RESIDUAL = Pose2()
 AnyFloats = Float32s | Float64s
 
-OBJECT_BYTES = 900  # of a keyframe's Python objects
+OBJECT_BYTES = 1000  # of a keyframe's Python objects
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +52,7 @@ class Keyframe:
     stamp: ns, end of the sweep.  local_from_base: in the front end's frame, which no closure moves.
     covariance: (3, 3) of the pose relative to the local map, until the graph is optimized (see `pose_covariance`).
     odometry_residual: odometry^-1 @ match for the motion from the keyframe before, in this one's axes.
+    by_odometry: the pose by odometry alone, in a frame of its own; None without odometry, or of a saved map.
     """
 
     stamp: int
@@ -63,6 +64,7 @@ class Keyframe:
     _is_point: bytes  # a bit for each end: whether it is one of the points; empty where points are in the block
     covariance: Float32s = field(default_factory=lambda: NO_COVARIANCE, kw_only=True)
     odometry_residual: Pose2 = field(default_factory=Pose2, kw_only=True)
+    by_odometry: Pose2 | None = field(default=None, kw_only=True)
 
     @classmethod
     def of(
@@ -76,6 +78,7 @@ class Keyframe:
         silent: AnyFloats,
         covariance: AnyFloats = NO_COVARIANCE,
         odometry_residual: Pose2 = NO_RESIDUAL,
+        by_odometry: Pose2 | None = None,
     ) -> "Keyframe":
         """Returns a keyframe with the arrays as float32. The other arguments are the fields of these names.
 
@@ -97,6 +100,7 @@ class Keyframe:
             b"" if len(apart) else np.packbits(is_point).tobytes(),
             covariance=covariance.astype(np.float32),
             odometry_residual=odometry_residual,
+            by_odometry=by_odometry,
         )
 
     @property

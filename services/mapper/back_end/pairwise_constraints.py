@@ -35,7 +35,7 @@ class PairwiseConfig(Section):
         2, ge=1, le=100, description="one of as many keyframes can be a partner, which keeps the graph sparse"
     )
     max_distance: float = Field(4.0, ge=0.2, le=50, description="m between two partners, at most")
-    max_sigma: float = Field(0.1, ge=0.01, le=1, description="m, maximum standard deviation of a partner's pose")
+    max_sigma: float = Field(0.25, ge=0.01, le=1, description="m, maximum standard deviation of a partner's pose")
     max_correspondence: float = Field(
         0.2, ge=0.02, le=1, description="m, maximum distance of two matched points, and of a correction"
     )

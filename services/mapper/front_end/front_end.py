@@ -103,6 +103,7 @@ class FrontEnd:
     """Tracks the robot in a submap that it extends. Frame `local`: that of the submap, continuous.
 
     from_keyframes: whether the submap holds keyframes only, so that a newer one may replace it. A loaded map has none.
+    by_odometry: the pose by odometry alone since the first scan, in a frame of its own.
     keyframe_off: motion by matches between the last two keyframes less that by odometry, in axes of the last one.
     dead_reckoned: the pose by odometry alone since the last trusted scan.
     motion: in `base` of the scan before, between the last two scans, by matches.
@@ -126,6 +127,7 @@ class FrontEnd:
             config.good_quality, config.good_sigma, config.lost_quality, config.lost_after_scans
         )
         self.uncertainty = PoseCovariance()
+        self.by_odometry = Pose2()
         self.agreement = LaserAgreement(config.good_quality)
         self._submap_settings = registration, occupancy, range_max
         self.start(Pose2())
@@ -137,7 +139,7 @@ class FrontEnd:
         self.smoothed = local_from_base  # the pose without the jitter of odometry, where the next prior begins
         self.motion = Pose2()
         self.keyframe: Pose2 | None = None  # pose of the last scan that joined the submap
-        self.since_keyframe = self.keyframe_off = Pose2()  # motion by odometry since then
+        self.keyframe_by_odometry, self.keyframe_off = self.by_odometry, Pose2()
         self.unmatched = UnmatchedMotion()
         self.uncertainty.reset()
         self.aligner.reset()
@@ -210,7 +212,7 @@ class FrontEnd:
         """Corrects the scale of odometry's step, and collects what is known of the pose before the match."""
         self.odometry_error.add_step(step, seconds)
         step = self.odometry_error.scaled_step(step)
-        self.since_keyframe = self.since_keyframe @ step
+        self.by_odometry = self.by_odometry @ step
         return Prediction(
             local_from_base=self.local_from_base, motion=self.motion, smoothed=self.smoothed, step=step,
             seconds=seconds, sigma_factor=sigma_factor, skew=skew if sigma_factor <= 1 else 0.0,
@@ -375,8 +377,9 @@ class FrontEnd:
         pose, is_keyframe = self.local_from_base, self._has_moved_on() and len(sweep.points) > 0
         if is_keyframe:
             moved = (pose if self.keyframe is None else self.keyframe).inverse() @ pose
-            self.keyframe_off = self.since_keyframe.inverse() @ moved if prediction.has_odometry else Pose2()
-            self.keyframe, self.since_keyframe = pose, Pose2()
+            step = self.keyframe_by_odometry.inverse() @ self.by_odometry
+            self.keyframe_off = step.inverse() @ moved if prediction.has_odometry else Pose2()
+            self.keyframe, self.keyframe_by_odometry = pose, self.by_odometry
             self.submap.remove_crossed_points()
             self.submap.add_points(pose, sweep.points, sweep.normals)
             self.submap.set_uncertainty(pose, self.uncertainty.map_covariance, stamp)

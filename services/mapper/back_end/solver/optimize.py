@@ -37,6 +37,7 @@ def optimize(graph: Graph, config: PoseGraphConfig) -> OptimizationResult:
     as a wrong one does. Then the kernel begins with the largest residual's width, and is narrowed step by step:
     graduated non-convexity (Yang et al., RA-L 2020, GNC-GM). If the first, almost quadratic round satisfies all
     closures, the rest is skipped. If not, closures that were rejected before are tried again.
+    No rejection divides the graph: where one closure alone joins two sections, nothing can contradict it.
     A fixed node keeps its bits; in a component without one, the first node is fixed.
     """
     loops = graph.loop
@@ -56,7 +57,7 @@ def optimize(graph: Graph, config: PoseGraphConfig) -> OptimizationResult:
     for _ in range(MAX_FINAL_ROUNDS):
         poses = solver.solve(poses, on, config.max_closure_chi2)
         chi2 = edge_chi2(graph, poses)
-        before, on = on, ~loops | (chi2 <= config.max_closure_chi2)
+        before, on = on, solver.with_bridges(~loops | (chi2 <= config.max_closure_chi2), chi2)
         if (on == before).all():
             break
     start = edge_chi2(graph, graph.poses)
@@ -91,6 +92,17 @@ class _Solver:
         )  # fmt: skip
         self.iterations += steps
         return np.asarray(optimum)
+
+    def with_bridges(self, on: Bools, chi2: Float64s) -> Bools:
+        """Returns the edges that are on, and of the others those that join what is apart, the smallest chi2 first."""
+        component = connected_components(len(self.graph.poses), self.i[on], self.j[on])
+        on, rejected = on.copy(), np.flatnonzero(~on)
+        for edge in rejected[np.argsort(chi2[rejected], kind="stable")].tolist():
+            a, b = component[self.i[edge]], component[self.j[edge]]
+            if a != b:
+                component[component == max(a, b)] = min(a, b)
+                on[edge] = True
+        return on
 
 
 def _kernel_scale(chi2: Float64s, gate: float) -> float:

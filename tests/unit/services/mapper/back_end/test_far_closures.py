@@ -13,6 +13,7 @@ from services.mapper.back_end.far_closures import (
     MIN_PATH_PER_OFFSET,
     FarClosures,
     FarSearch,
+    by_odometry,
     distant_places,
     drift_limits,
     find_far_closure,
@@ -23,7 +24,7 @@ from services.mapper.back_end.map_parts import MIN_FAR_JOINTS, OdometryGap
 from services.mapper.back_end.pose_graph import PoseGraph
 from services.mapper.back_end.relative_covariance import relative_covariances
 from services.mapper.back_end.solver.optimize import optimize
-from shared.geometry import Pose2
+from shared.geometry import Pose2, wrapped
 from tests.unit.services.mapper.hardships import LONG_CORRIDOR, TO_ITS_END
 from tests.unit.services.mapper.rooms import LAP, RING, START, RoomDrive, laps
 
@@ -70,6 +71,14 @@ def test_a_part_that_is_many_metres_off_is_found_on_the_rest():
         drive(driven, 1)
         wrongly += driven.mapper.back_end.is_joined and driven.error.distance(Pose2()) > 0.3
     assert wrongly <= 1  # the scan before the optimum
+    assert driven.mapper.back_end.is_joined
+    assert driven.error.distance(Pose2()) < 0.1
+
+
+def test_a_part_beyond_the_drift_is_found_where_odometry_alone_leads():
+    driven = round_the_ring(2 * LAP)
+    begin_part(driven, Pose2(14.0, -9.0, 1.0))
+    drive(driven, LAP)
     assert driven.mapper.back_end.is_joined
     assert driven.error.distance(Pose2()) < 0.1
 
@@ -122,22 +131,27 @@ def test_a_newest_keyframe_that_sees_nothing_does_not_hinder_the_best_match_so_f
     assert found.compared == hypothesis.best.j != graph.nodes[-1]
 
 
+coordinates = st.floats(-30, 30)
 rows = st.lists(
-    st.tuples(st.floats(-30, 30), st.floats(-30, 30), st.floats(0, 20), st.floats(0, 2)), min_size=2, max_size=80
+    st.tuples(coordinates, coordinates, st.floats(0, 20), st.floats(0, 2), coordinates, coordinates),
+    min_size=2,
+    max_size=80,
 )
 
 
 @given(rows)
-@example([(0.0, 0.0, 1.5, 0.0), *[(0.0, 0.0, 0.0, 1.0)] * 3])  # between two and three standard deviations
+@example(
+    [(0.0, 0.0, 1.5, 0.0, 0.0, 0.0), *[(0.0, 0.0, 0.0, 1.0, 0.0, 0.0)] * 3]
+)  # between two and three standard deviations
 def test_each_place_within_the_drift_is_searched_once_and_no_other(drawn):
-    x, y, sigma, step = np.array(drawn).T
-    poses = np.column_stack((x, y, np.zeros_like(x)))
+    x, y, sigma, step, *guess = np.array(drawn).T
+    poses, map_from_last = (np.column_stack((*position, np.zeros_like(x))) for position in ((x, y), guess))
     covariances = np.zeros((len(x), 3, 3))
     covariances[:, 0, 0] = sigma**2
     driven = np.cumsum(step) * 5
     limits = drift_limits(covariances, driven, CONFIG)
-    places = distant_places(poses, limits, CONFIG)
-    path, distance = driven[-1] - driven, np.hypot(*(poses[:, :2] - poses[-1, :2]).T)
+    places = distant_places(poses, map_from_last, limits, CONFIG)
+    path, distance = driven[-1] - driven, np.hypot(*(poses[:, :2] - map_from_last[:, :2]).T)
     drift = np.minimum(3 * sigma, CONFIG.max_window + CONFIG.max_drift_ratio * path)
     is_far = CONFIG.window_sigmas * sigma > CONFIG.max_window
     wanted = (path > CONFIG.min_path_between) & is_far & (distance < 3.0 + drift)
@@ -147,6 +161,25 @@ def test_each_place_within_the_drift_is_searched_once_and_no_other(drawn):
     between = apart[places] + np.diag(np.full(len(places), np.inf))
     assert (between > CONFIG.view_radius).all()
     assert not wanted.any() or (apart[wanted].min(axis=1) <= CONFIG.view_radius).all()
+
+
+def test_by_odometry_the_newest_pose_is_that_of_each_node_and_the_motion_since():
+    rng = np.random.default_rng(4)
+    graph, keyframes, nothing = PoseGraph(), [], np.zeros((0, 2))
+    for k in range(6):
+        graph.add_node(Pose2(*rng.uniform(-3, 3, 3).tolist()))
+        pose = None if k == 2 else Pose2(*rng.uniform(-3, 3, 3).tolist())
+        keyframes.append(Keyframe.of(k, Pose2(), nothing, nothing, nothing, nothing, nothing, by_odometry=pose))
+    guesses = by_odometry(graph.snapshot(), keyframes)
+    for k, keyframe in enumerate(keyframes):
+        if keyframe.by_odometry is None:
+            assert np.isnan(guesses[k]).all()
+        else:
+            expected = graph.pose(k) @ keyframe.by_odometry.inverse() @ keyframes[-1].by_odometry
+            assert expected.distance(Pose2(*guesses[k].tolist())) < 1e-9
+            assert abs(wrapped(expected.yaw - guesses[k, 2])) < 1e-9
+    unknown = [*keyframes[:-1], Keyframe.of(9, Pose2(), nothing, nothing, nothing, nothing, nothing)]
+    assert np.isnan(by_odometry(graph.snapshot(), unknown)).all()
 
 
 def straight(n: int) -> tuple[PoseGraph, list[float]]:

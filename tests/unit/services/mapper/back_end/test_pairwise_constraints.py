@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.mapper.back_end.keyframe import Keyframe, Sweep
+from services.mapper.back_end.map_parts import MIN_GAP_SIGMA_M
 from services.mapper.back_end.pairwise_constraints import PairwiseConfig, find_pairwise_constraints
 from services.mapper.back_end.pose_graph import PoseGraph
 from services.mapper.front_end.registration import RegistrationConfig
@@ -75,7 +76,8 @@ def test_only_what_is_surely_near_is_tied_and_not_more_than_wanted():
     assert len(ties) == 3
     assert len({tie.i for tie in ties}) == 3
     assert {tie.j for tie in ties} == {8}
-    assert tied(places, places, sigma=0.5) == []
+    assert len(tied(places, places, sigma=0.2)) == 4
+    assert tied(places, places, sigma=MIN_GAP_SIGMA_M) == []
     assert all(places[tie.i].distance(places[8]) < 0.7 for tie in tied(places, places, max_distance=0.7))
 
 

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from services.mapper.back_end.pose_graph import PoseGraph, compose, edge_chi2
-from services.mapper.back_end.solver.optimize import PoseGraphConfig, optimize
+from services.mapper.back_end.solver.optimize import PoseGraphConfig, connected_components, optimize
 from shared.geometry import Pose2, wrapped_all
-from tests.unit.services.mapper.graphs import CLOSURE, driven, eight, information
+from tests.unit.services.mapper.graphs import CLOSURE, driven, eight, in_parts, information
 
 CONFIG = PoseGraphConfig()
 
@@ -116,6 +116,14 @@ def test_wrong_closures_among_true_ones_are_switched_off(seed):
     best = optimize(only_true, CONFIG).poses
     assert off(result.poses, best) < 0.02
     assert off(best, truth) < off(graph.poses, truth) / 2
+
+
+@pytest.mark.parametrize("seed", [14, 29, 103, 132])
+def test_no_rejected_edge_was_the_only_one_between_two_sections(seed):
+    graph = in_parts(seed).snapshot()
+    (i, j), on = graph.rows(), optimize(graph, CONFIG).on
+    assert not on.all()
+    assert (connected_components(len(graph.nodes), i[on], j[on]) == 0).all()
 
 
 def test_a_first_closure_metres_off_is_believed():
