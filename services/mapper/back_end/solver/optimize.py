@@ -15,7 +15,7 @@ from shared.types import Bools, Float64s, Int64s
 
 NEGLIGIBLE_CHI2 = 1e-9  # of a whole graph: only rounding errors are left
 KERNEL_SHRINK = 4  # factor of the squared kernel width from round to round
-N_ROUGH_STEPS = 3  # in a round whose optimum is only the start of the next one
+N_ROUGH_STEPS = 3  # in a round with a narrower kernel that is not the last one
 MAX_FINAL_ROUNDS = 5  # in which closures may still be accepted or rejected
 
 
@@ -35,8 +35,9 @@ def optimize(graph: Graph, config: PoseGraphConfig) -> OptimizationResult:
 
     Closures have a Geman-McClure kernel of the gate's width. The first closure after a long path may lie outside of it,
     as a wrong one does. Then the kernel begins with the largest residual's width, and is narrowed step by step:
-    graduated non-convexity (Yang et al., RA-L 2020, GNC-GM). If the first, almost quadratic round satisfies all
-    closures, the rest is skipped. If not, closures that were rejected before are tried again.
+    graduated non-convexity (Yang et al., RA-L 2020, GNC-GM). The first, almost quadratic round converges, as a narrower
+    kernel rejects what is not yet at its optimum. If that round satisfies all closures, the rest is skipped. If not,
+    closures that were rejected before are tried again.
     No rejection divides the graph: where one closure alone joins two sections, nothing can contradict it.
     A fixed node keeps its bits; in a component without one, the first node is fixed.
     """
@@ -45,15 +46,16 @@ def optimize(graph: Graph, config: PoseGraphConfig) -> OptimizationResult:
     poses, on = graph.poses, graph.on | ~loops
     chi2 = edge_chi2(graph, poses)
     width = _kernel_scale(chi2[loops & on], config.max_closure_chi2)
+    narrows = False
     while width > 1:
-        poses = solver.solve(poses, on, config.max_closure_chi2 * width, rough=True)
+        poses = solver.solve(poses, on, config.max_closure_chi2 * width, rough=narrows)
         chi2 = edge_chi2(graph, poses)
         needed = _kernel_scale(chi2[loops & on], config.max_closure_chi2)
         if needed > 1 and not on.all():
             on = np.ones_like(on)
-            width = needed = _kernel_scale(chi2[loops], config.max_closure_chi2)
+            width, narrows = _kernel_scale(chi2[loops], config.max_closure_chi2), False
         else:
-            width = min(width / KERNEL_SHRINK, needed)
+            width, narrows = min(width / KERNEL_SHRINK, needed), True
     for _ in range(MAX_FINAL_ROUNDS):
         poses = solver.solve(poses, on, config.max_closure_chi2)
         chi2 = edge_chi2(graph, poses)

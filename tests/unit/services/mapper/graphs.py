@@ -11,7 +11,7 @@ from shared.types import Float64s
 ODOMETRY = np.array((0.01, 0.01, 0.005))  # m, m, rad
 CLOSURE = np.array((0.03, 0.03, 0.01))
 LAP = 100  # keyframes
-N_PARTS, PART = 10, 20  # keyframes of a part
+N_PARTS = 10
 
 
 def information(sigma: Float64s) -> Float64s:
@@ -61,22 +61,28 @@ def driven(
     return graph, np.array([(p.x, p.y, p.yaw) for p in truth]), is_wrong
 
 
-def in_parts(seed: int) -> PoseGraph:
-    """Parts that odometry joins badly, and true closures between the last one, which was moved there, and another."""
+def in_parts(seed: int, size: int, n_sigmas: float) -> PoseGraph:
+    """Parts of `size` keyframes that odometry joins, and true closures between the last one and an early one.
+
+    n_sigmas: standard deviation of odometry's errors, as a factor of what its edges claim. The last part is moved to
+    where the closures put it, as the mapper does.
+    """
     rng = np.random.default_rng(seed)
+    gap = gap_information(2.0, 2.0)
+    gap_sigmas = n_sigmas / np.sqrt(np.diag(gap))
     graph, truth = PoseGraph(), [Pose2()]
     graph.add_node(truth[0])
-    for k in range(N_PARTS * PART):
-        is_gap = k % PART == 0 and k > 0
-        truth.append(truth[-1] @ Pose2(0.5, 0, np.pi / 45 if k >= 3 * PART else 0.0))
-        error = Pose2(*rng.normal(0, 1, 3).tolist()) if is_gap else noise(rng, ODOMETRY)
+    for k in range(N_PARTS * size):
+        is_gap = k % size == 0 and k > 0
+        truth.append(truth[-1] @ Pose2(0.5, 0, np.pi / (2.25 * size) if k >= 3 * size else 0.0))
+        error = Pose2(*rng.normal(0, gap_sigmas).tolist()) if is_gap else noise(rng, ODOMETRY)
         step = truth[k].inverse() @ truth[k + 1] @ error
         graph.add_node(graph.pose(k) @ step)
-        graph.add_edge(k, k + 1, step, gap_information(2.0, 1.0) if is_gap else information(ODOMETRY), loop=is_gap)
-    i, j = int(rng.integers(1, 5)) * PART, N_PARTS * PART - PART // 2
+        graph.add_edge(k, k + 1, step, gap if is_gap else information(ODOMETRY), loop=is_gap)
+    i, j = int(rng.integers(1, 5)) * size, N_PARTS * size - 9
     for k in range(9):
         seen = truth[i + k].inverse() @ truth[j + k] @ noise(rng, CLOSURE)
         graph.add_edge(i + k, j + k, seen, information(CLOSURE), loop=True)
     pose = graph.pose(i) @ truth[i].inverse() @ truth[j]
-    graph.move_nodes(N_PARTS * PART - PART + 1, pose @ graph.pose(j).inverse())
+    graph.move_nodes(N_PARTS * size - size + 1, pose @ graph.pose(j).inverse())
     return graph

@@ -190,14 +190,14 @@ def test_only_for_a_part_searches_become_rarer_while_they_find_nothing(building,
     keyframe, *others = localizer.pending[-1]
     localizer.load(saved, part_about)
     searched_at = []
-    for step in range(800):
+    for step in range(2500):
         moved = replace(keyframe, local_from_base=Pose2(0.1 * step, 0, 0), stamp=keyframe.stamp + step * NS_PER_S)
         for _ in localizer.add_keyframe(moved, *others):
             searched_at.append(0.1 * step)
-            found = [PoseHypothesis(Pose2(), 0.9, step > 700), PoseHypothesis(Pose2(9), 0.9, False)]
+            found = [PoseHypothesis(Pose2(), 0.9, step > 2300), PoseHypothesis(Pose2(9), 0.9, False)]
             assert localizer.accepted_pose((localizer.epoch, found, 0.01)) is None
     at = np.array(searched_at)
-    intervals, found_before = np.diff(at), at[:-1] > 70
+    intervals, found_before = np.diff(at), at[:-1] > 230
     normal = localizer.config.search_interval
     assert intervals[found_before] == pytest.approx(normal, abs=0.11)
     if part_about is None:
