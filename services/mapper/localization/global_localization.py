@@ -45,7 +45,7 @@ MAX_LOOKUPS = 2e10  # of a search for a part; a wider window is reduced to this
 MAX_PART_INTERVAL_M = 12.0  # between two searches for a part
 MAX_REST_NS = 60_000_000_000  # between two searches
 REST_RATIO = 1.0  # rest per CPU time of a search, while the robot waits for its pose
-PART_REST_RATIO = 10.0  # the same while the robot maps meanwhile
+PART_REST_RATIO = 20.0  # the same while the robot maps meanwhile
 
 
 class GlobalLocalizationConfig(Section):
