@@ -24,7 +24,7 @@ from services.mapper.back_end.loop_closure import (
     information_in_own_frame,
 )
 from services.mapper.back_end.map_parts import OdometryGap, find_joint, gap_information, joined_nodes
-from services.mapper.back_end.pose_graph import Graph, OptimizationResult, PoseGraph, fixed_graph, rotate_matrix
+from services.mapper.back_end.pose_graph import Graph, OptimizationResult, PoseGraph, fixed_graph
 from services.mapper.back_end.solver.optimize import PoseGraphConfig
 from services.mapper.front_end.odometry_error import OdometryError
 from services.mapper.front_end.registration import Match, RegistrationConfig
@@ -181,9 +181,8 @@ class BackEnd:
             before = self.keyframes[-1].local_from_base
             step = before.inverse() @ keyframe.local_from_base
             prior = odometry.prior(self._settings[0], before, step, odometry_scale)
-            prior_information = rotate_matrix(prior.information, -keyframe.local_from_base.yaw)
             information = information_in_own_frame(
-                match.information, keyframe.local_from_base.yaw, prior_information, c.min_sigma, c.min_sigma_turn
+                match.information, keyframe.local_from_base.yaw, prior.information, c.min_sigma, c.min_sigma_turn
             )
             information = widen_where_doubtful(information, step, keyframe.odometry_residual, match.inlier_ratio)
             self.graph.add_edge(node - 1, node, step, information, loop=False)

@@ -17,7 +17,6 @@ MIN_CHANGE_RATIO = 4.0  # squared changes of the matches' motion to those of odo
 CHANGE_RATE = 0.1  # weight of the newest change of a motion
 LEARNING_RATE = 0.1  # weight of the newest error that is larger than the learned ones
 FORGETTING_RATE = 0.02  # the same of a smaller one
-HEADING_PER_M = 0.3  # rad a metre: error of the heading of a match that is off by so much
 TURN_ERROR = 0.02  # rad, of one match or of odometry between two scans
 DOUBTED_SIGMA = 0.07  # m and rad, of matches after scans that fit nothing
 DOUBTFUL_SIGMA = 0.05  # m and rad, from which matches close no loop
@@ -54,8 +53,8 @@ class MatchError:
 
     @property
     def turn_variance(self) -> float:
-        """rad^2, of its heading, in the same way. A match at a wrong place has a wrong heading, too."""
-        return max(0.0, self._heading.variance - TURN_ERROR**2, HEADING_PER_M**2 * self.variance)
+        """rad^2, of its heading, in the same way."""
+        return max(0.0, self._heading.variance - TURN_ERROR**2)
 
     def add(self, step: Pose2, motion: Pose2) -> None:
         """Adds the same motion by odometry, at its scale, and by a match, both in `base` before it."""

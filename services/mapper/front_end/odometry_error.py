@@ -34,7 +34,6 @@ MAX_SQUARED_RATIO = 9.0  # of a squared error to the variance: a slip or a wrong
 N_EVENNESS_STEPS = 3  # steps that are compared
 MAX_SIGMA_SHARE = 0.5  # of a motion, as sigma of odometry: scans that are wrong must not make it useless
 MAX_STANDING_SIGMA = 0.03  # m, rad: the same for a robot that stands
-MIN_SIDE_SHARE = 0.02  # m a metre that wheels slip sideways, as sigma, at least
 USUAL_RATE = 0.02  # share by which a comparison changes the usual variance
 MIN_USUAL_VARIANCE = 1e-6  # m^2, rad^2: a robot that stands has no error
 MEDIAN_OF_SQUARES = 0.455  # median of a squared error to its variance: chi-squared with one degree of freedom
@@ -136,8 +135,7 @@ class OdometryError:
     """
 
     def __init__(self) -> None:
-        # typical of a wheeled robot; `side`: of the position, across the heading
-        self.position, self.side, self.turn = ErrorVariance(0.015**2), ErrorVariance(0.015**2), ErrorVariance(0.01**2)
+        self.position, self.turn = ErrorVariance(0.015**2), ErrorVariance(0.01**2)  # typical of a wheeled robot
         self.by_odometry, self.by_match, self.seconds = Pose2(), Pose2(), 0.0  # motions since the last comparison
         self.forward_scale, self.turn_scale = ScaleEstimate(0.05), ScaleEstimate(0.004)
         self.jitter, self.turn_jitter = JitterEstimate(self.position.recent), JitterEstimate(self.turn.recent)
@@ -176,8 +174,8 @@ class OdometryError:
             self.by_odometry, self.by_match, self.seconds = Pose2(), Pose2(), 0.0
             self.jitter.last = self.turn_jitter.last = None
             if matches.variance > 0 or matches.turn_variance > 0:
-                for error in (self.position, self.side, self.turn):
-                    error.forget_large()
+                self.position.forget_large()
+                self.turn.forget_large()
             return
         if seconds <= MAX_JITTER_S:
             difference = self.scaled_step(step).inverse() @ motion
@@ -192,7 +190,6 @@ class OdometryError:
         off = self.scaled_step(step).inverse() @ motion
         bound = MAX_SQUARED_RATIO if seconds <= MAX_JITTER_S else inf
         self.position.add(hypot(off.x, off.y), bound, 2 * matches.variance)  # both ends of the motion err
-        self.side.add(off.y, bound, matches.variance)
         self.turn.add(off.yaw, bound, 2 * matches.turn_variance)
         self._add_to_scale(step, motion)
 
@@ -234,14 +231,10 @@ class OdometryError:
         path, turn = max(hypot(step.x, step.y), self.last_path), max(abs(step.yaw), self.last_turn)
         max_sigma = MAX_STANDING_SIGMA + MAX_SIGMA_SHARE * path
         max_turn_sigma = MAX_STANDING_SIGMA + MAX_SIGMA_SHARE * turn + TURN_PER_M * path
-        # the turn may come early or late in the step
-        min_side_sigma = share * config.prior + hypot(step.x, step.y) * (MIN_SIDE_SHARE + abs(step.yaw) / 2)
-        by_error, by_side_error = trust * sqrt(self.position.recent), trust * sqrt(self.side.recent)
-        by_turn_error = trust * sqrt(self.turn.recent)
+        by_error, by_turn_error = trust * sqrt(self.position.recent), trust * sqrt(self.turn.recent)
         return Prior(
             map_from_base=before @ step,
             sigma=sigma_factor * (max(min_sigma, min(by_error, max_sigma)) + uneven),
-            sigma_side=sigma_factor * max(min_side_sigma, min(by_side_error, max_sigma)),
             sigma_turn=sigma_factor * (max(min_turn_sigma, min(by_turn_error, max_turn_sigma)) + uneven_turn),
             skew=skew,
             match_variance=self.match_error.variance,

@@ -70,7 +70,6 @@ class Match:
 class Prior:
     """The pose expected from odometry, with the standard deviations of the last step: sigma m, sigma_turn rad.
 
-    sigma_side: m, across the heading, as wheels hardly move a robot sideways; None: as `sigma`.
     skew: share of the step's time that the sweep took; 0 if registration shall not estimate the sweep's twist.
     match_variance, match_turn_variance: m^2 and rad^2, of a match beyond what its beams claim; see `MatchError`.
     """
@@ -78,7 +77,6 @@ class Prior:
     map_from_base: Pose2
     sigma: float
     sigma_turn: float
-    sigma_side: float | None = None
     skew: float = 0.0
     match_variance: float = 0.0
     match_turn_variance: float = 0.0
@@ -86,11 +84,7 @@ class Prior:
     @property
     def information(self) -> Float64s:
         """(3, 3) of (x, y, yaw) in `map`."""
-        c, s = cos(self.map_from_base.yaw), sin(self.map_from_base.yaw)
-        along = 1 / self.sigma**2
-        across = along if self.sigma_side is None else 1 / self.sigma_side**2
-        xx, xy, yy = along * c * c + across * s * s, (along - across) * c * s, along * s * s + across * c * c
-        return np.array(((xx, xy, 0.0), (xy, yy, 0.0), (0.0, 0.0, 1 / self.sigma_turn**2)))
+        return np.diag((self.sigma**-2, self.sigma**-2, self.sigma_turn**-2))
 
     def squared_sigmas(self, pose: Pose2) -> float:
         """Squared Mahalanobis distance of a pose in `map`."""

@@ -137,9 +137,3 @@ def test_no_variance_changes_nothing() -> None:
     _widen(widened, gradient, 0.0, 0.0)
     assert (widened == beams).all()
     assert (gradient == 1).all()
-
-
-@given(st.integers(0, 100))
-def test_a_match_at_a_wrong_place_has_a_doubtful_heading(seed: int) -> None:
-    error = learned([STEP] * 60, jumping(seed, 60, 0.3, 0.0))
-    assert 0.2 * np.sqrt(error.variance) < np.sqrt(error.turn_variance) < 0.5 * np.sqrt(error.variance)
