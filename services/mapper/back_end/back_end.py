@@ -235,6 +235,7 @@ class BackEnd:
         closures = existing(self.graph, closures)
         if not self.is_joined:
             closures = [*(c for c in closures if c.i >= self.first_node), *self._joining_closures(closures)]
+        closures = self.search.partial_closures.add(closures, self.graph, self.driven)
         for closure in closures:
             expected = self.graph.pose(closure.i).inverse() @ self.graph.pose(closure.j)
             error = expected.inverse() @ closure.i_from_j
@@ -253,7 +254,7 @@ class BackEnd:
 
     def _joining_closures(self, closures: Sequence[Constraint]) -> list[Constraint]:
         """Returns the closures that join the present part to the rest, once enough agree, and moves the part there."""
-        new = (c for c in closures if c.i < self.first_node <= c.j)
+        new = (c for c in closures if c.i < self.first_node <= c.j and not c.is_partial)
         self.joint_candidates = existing(self.graph, [*self.joint_candidates, *new])
         newest = self.graph.pose(int(self.graph.nodes[-1]))
         joint = find_joint(self.graph, self.joint_candidates, newest, self.part_gap)

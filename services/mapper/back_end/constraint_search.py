@@ -22,6 +22,7 @@ from services.mapper.back_end.loop_closure import (
 )
 from services.mapper.back_end.map_parts import joined_nodes
 from services.mapper.back_end.pairwise_constraints import PairwiseConfig, find_pairwise_constraints
+from services.mapper.back_end.partial_closures import PartialClosures
 from services.mapper.back_end.pose_graph import Graph, PoseGraph
 from services.mapper.back_end.relative_covariance import relative_covariances
 from services.mapper.front_end.registration import RegistrationConfig
@@ -65,6 +66,7 @@ class ConstraintSearch:
         self.searched_at = 0.0  # m driven, at the last search
         self.last_searched = -1  # name of the newest node whose pairwise constraints were searched
         self.far_closures = FarClosures()
+        self.partial_closures = PartialClosures()
         self.again: list[int] = []  # names of nodes whose closures are to be searched again, the next one last
         self.drifted_from = inf  # m driven, where a drift began that the next optimum corrects
 

@@ -31,6 +31,10 @@ WEAK_INFORMATION = 1e-2 * np.eye(3)
 """Information of an unknown pose: standard deviations of 10 m and 10 rad."""
 GRAPH_SHARE = 1.5  # memory of the graph that grows, by doubling, as a share of its snapshot's
 MIN_SIGMA_TURN_RAD, MIN_TURN_RAD, MAX_TURN_RAD = 0.03, 0.2, 0.5  # of a window about a guess
+MIN_PARTIAL_RATIO = 0.2  # beams that agree with a partial closure, as a share of all
+MAX_PARTIAL_CONTRADICTION = 0.2  # beams that contradict it, as a share of those that agree
+MAX_PARTIAL_RIVAL_RATIO = 0.5  # margin of another pose, as a share of the best one's
+PARTIAL_SIGMAS = 0.1, 0.02  # m, rad: minimum standard deviations of a partial closure
 MIN_RIVAL_M, MIN_RIVAL_RAD = 0.3, 0.2  # distance from the best pose from which another pose is a rival
 
 
@@ -74,12 +78,16 @@ class LoopClosureConfig(Section):
 
 @dataclass(frozen=True, slots=True)
 class Constraint:
-    """The pose of node j in the frame of node i, with information (3, 3) of (x, y, yaw) in the frame of j."""
+    """The pose of node j in the frame of node i, with information (3, 3) of (x, y, yaw) in the frame of j.
+
+    is_partial: few beams agree with it, so it counts once others agree (see partial_closures.py).
+    """
 
     i: int
     j: int
     i_from_j: Pose2
     information: Float64s
+    is_partial: bool = False
 
 
 def existing(graph: PoseGraph, constraints: Sequence[Constraint]) -> list[Constraint]:
@@ -267,16 +275,22 @@ class PlaceMatch:
         fits = self.match.inlier_ratio >= ratio and self.margin >= margin
         return fits and all(other <= config.max_rival_ratio * self.margin for _, other in self.rivals)
 
-    def constraint(self, graph: Graph, row: int, last: int, config: LoopClosureConfig) -> Constraint:
+    @property
+    def is_partial(self) -> bool:
+        """Whether a part of the beams agrees, hardly any contradict, and no other pose fits half as well."""
+        ratio = self.match.inlier_ratio
+        fits = ratio >= MIN_PARTIAL_RATIO and ratio - self.margin <= MAX_PARTIAL_CONTRADICTION * ratio
+        return fits and all(other <= MAX_PARTIAL_RIVAL_RATIO * self.margin for _, other in self.rivals)
+
+    def constraint(
+        self, graph: Graph, row: int, last: int, config: LoopClosureConfig, is_partial: bool = False
+    ) -> Constraint:
         """Returns the closure between two rows of the graph."""
+        sigmas = PARTIAL_SIGMAS if is_partial else (config.min_sigma, config.min_sigma_turn)
         information = information_in_own_frame(
-            self.match.information,
-            self.match.map_from_base.yaw,
-            WEAK_INFORMATION,
-            config.min_sigma,
-            config.min_sigma_turn,
+            self.match.information, self.match.map_from_base.yaw, WEAK_INFORMATION, *sigmas
         )
-        return Constraint(int(graph.nodes[row]), int(graph.nodes[last]), self.row_from_last, information)
+        return Constraint(int(graph.nodes[row]), int(graph.nodes[last]), self.row_from_last, information, is_partial)
 
 
 def match_loop_closure(
@@ -294,7 +308,9 @@ def match_loop_closure(
     """
     window = SearchWindow.of(pose_of(graph.poses[last]), covariance, config.window_sigmas, config.max_window, config)
     found = match_place(graph, keyframes, row, last, window, submaps, config)
-    return found.constraint(graph, row, last, config) if found is not None and found.is_accepted(config) else None
+    if found is None or not ((is_accepted := found.is_accepted(config)) or found.is_partial):
+        return None
+    return found.constraint(graph, row, last, config, not is_accepted)
 
 
 def match_place(

@@ -59,8 +59,11 @@ class DriftingRobot:
         self.jobs, self.busy, self.drawings, self.around = [], False, [], None
         self.odometry = OdometryError()
 
+    def sweep(self):
+        return sweep(self.segments, self.true, noise=0.01, seed=self.now // NS_PER_S)
+
     def keyframe(self):
-        origins, ends = sweep(self.segments, self.true, noise=0.01, seed=self.now // NS_PER_S)
+        origins, ends = self.sweep()
         normals = sweep_normals(origins, ends)
         valid = usable_beams(origins, ends) | normals.any(axis=1)
         found = Sweep(origins, ends, normals, np.zeros(len(ends))).only(valid)
