@@ -11,7 +11,13 @@ from math import inf
 
 import numpy as np
 
-from services.mapper.back_end.far_closures import FarClosures, FarSearch, Hypothesis, find_far_closure
+from services.mapper.back_end.far_closures import (
+    SEARCH_INTERVAL_M,
+    FarClosures,
+    FarSearch,
+    Hypothesis,
+    find_far_closure,
+)
 from services.mapper.back_end.keyframe import Keyframe
 from services.mapper.back_end.loop_closure import (
     Constraint,
@@ -63,7 +69,7 @@ class ConstraintSearch:
     """What was searched, and what the next search looks for."""
 
     def __init__(self) -> None:
-        self.searched_at = 0.0  # m driven, at the last search
+        self.searched_at = self.searched_far_at = 0.0  # m driven, at the last search
         self.last_searched = -1  # name of the newest node whose pairwise constraints were searched
         self.far_closures = FarClosures()
         self.partial_closures = PartialClosures()
@@ -90,7 +96,10 @@ class ConstraintSearch:
         existing = set(graph.nodes.tolist())
         hypothesis = self.far_closures.hypothesis(graph, driven)
         again = [node for node in again if node in existing]
-        return SearchOrder(before, True, hypothesis, tuple(again), 0 if is_joined else first_node)
+        searches_far = hypothesis is not None or driven[-1] - self.searched_far_at >= SEARCH_INTERVAL_M
+        if searches_far:
+            self.searched_far_at = driven[-1]
+        return SearchOrder(before, searches_far, hypothesis, tuple(again), 0 if is_joined else first_node)
 
     def search_again(
         self, graph: Graph, driven: Sequence[float], gaps: frozenset[tuple[int, int]], closed_at: float

@@ -36,6 +36,7 @@ from shared.geometry import Pose2
 from shared.types import Float64s, Int64s
 
 MAX_PLACES = 200  # within the drift, that a hypothesis is compared with: some seconds of CPU
+SEARCH_INTERVAL_M = 1.0  # driven between two searches without a hypothesis
 N_IN_TURN = 2  # places that a search tries without a hypothesis, beside the nearest one
 MIN_SCORE = 0.5  # of branch and bound at a place; a match with fewer beams is not accepted
 MAX_STEPS = 100_000  # of branch and bound at a place: 0.1 s
@@ -146,7 +147,7 @@ def find_far_closure(
             return followed
         is_unique = _is_unique(graph, keyframes, driven, submaps, config, hypothesis.best)
         return replace(followed, compared=hypothesis.best.j, is_unique=is_unique, is_ambiguous=not is_unique)
-    n_searches = int(driven[-1] / config.search_interval)
+    n_searches = int(driven[-1] / SEARCH_INTERVAL_M)
     guesses = by_graph(graph), by_odometry(graph, keyframes)
     for map_from_last in guesses if n_searches % 2 else guesses[::-1]:
         places = distant_places(graph.poses, map_from_last, limits, config)

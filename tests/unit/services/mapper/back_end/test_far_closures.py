@@ -305,3 +305,18 @@ def test_only_nodes_that_were_off_are_searched_again_newest_first_and_a_metre_ap
     assert len(set(paths)) == len(paths)
     search.search_again(graph.snapshot(), driven, frozenset(), closed_at=14.0)
     assert all(driven[node] > 14.0 for node in search.again)
+
+
+def test_far_closures_are_searched_once_a_metre_and_with_a_hypothesis_each_time():
+    graph, driven = straight(30)
+    search = ConstraintSearch()
+
+    def orders():
+        begin = search.searched_at
+        orders = (search.next_order(graph, [*driven, begin + 0.5 * k], 0, False, True) for k in range(1, 9))
+        return [order.searches_far for order in orders]
+
+    search.searched_at = search.searched_far_at = 60.0
+    assert orders() == [False, True] * 4
+    search.far_closures.add(closure(5, 30), graph)
+    assert orders() == [True] * 8
