@@ -17,7 +17,6 @@ MIN_CHANGE_RATIO = 4.0  # squared changes of the matches' motion to those of odo
 CHANGE_RATE = 0.1  # weight of the newest change of a motion
 LEARNING_RATE = 0.1  # weight of the newest error that is larger than the learned ones
 FORGETTING_RATE = 0.02  # the same of a smaller one
-DISPROVED_RATE = 0.5  # the same where odometry changes as much: it was late, and showed the same turn afterwards
 TURN_ERROR = 0.02  # rad, of one match or of odometry between two scans
 DOUBTED_SIGMA = 0.07  # m and rad, of matches after scans that fit nothing
 DOUBTFUL_SIGMA = 0.05  # m and rad, from which matches close no loop
@@ -28,16 +27,7 @@ class _Erratic:
     """The variance of one quantity of the matches, m^2 or rad^2."""
 
     def __init__(self) -> None:
-        self._learned = self._doubted = self._match_changes = self._odometry_changes = 0.0
-
-    @property
-    def variance(self) -> float:
-        """The larger one of what was learned and what remains of a doubt."""
-        return max(self._learned, self._doubted)
-
-    def doubt(self, variance: float) -> None:
-        """From now on the variance is as large at least, and then less and less."""
-        self._doubted = max(self._doubted, variance)
+        self.variance = self._match_changes = self._odometry_changes = 0.0
 
     def add(self, match_change: float, odometry_change: float, error: float) -> None:
         """Adds a motion: its squared change since the last one, by match and by odometry, and its error."""
@@ -45,10 +35,8 @@ class _Erratic:
         self._odometry_changes += CHANGE_RATE * (odometry_change - self._odometry_changes)
         share = max(0.0, 1.0 - MIN_CHANGE_RATIO * self._odometry_changes / max(self._match_changes, 1e-9))
         squared = share * min(error * error, match_change)  # an error that stays is odometry's
-        forgetting_rate = FORGETTING_RATE if share > 0 else DISPROVED_RATE
-        rate = LEARNING_RATE if squared > self._learned else forgetting_rate
-        self._learned += rate * (squared - self._learned)
-        self._doubted *= 1 - FORGETTING_RATE
+        rate = LEARNING_RATE if squared > self.variance else FORGETTING_RATE
+        self.variance += rate * (squared - self.variance)
 
 
 class MatchError:
@@ -83,7 +71,7 @@ class MatchError:
     def doubt(self) -> None:
         """After scans that fit nothing the next matches are doubtful, too."""
         for learned in (self._position, self._heading):
-            learned.doubt(DOUBTED_SIGMA**2)
+            learned.variance = max(learned.variance, DOUBTED_SIGMA**2)
 
     @property
     def is_doubtful(self) -> bool:
