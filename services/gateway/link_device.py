@@ -13,7 +13,7 @@ import msgpack
 
 from services.gateway.log_lines import LinkEvent, LinkLine
 from services.gateway.router_process import END_LIMIT_S, RouterProcess
-from services.gateway.service import PORT, GatewayConfig
+from services.gateway.service import PORT, STARTING, GatewayConfig
 from shared import topics
 from shared.config import UserError
 from shared.credentials import tls_endpoint
@@ -81,9 +81,11 @@ class GatewayDevice:
             "folder": str(self._folder.path),
             "robot": self._context.robot,
         }
+        self._publish_state(False, STARTING)
         process = RouterProcess(order, self._count)
-        self._publish_state(True, "")
         while not self._closing.wait(LOOK_S):
+            if process.listening.is_set():
+                self._publish_state(True, "")
             self._report()
             if failure := process.failure():
                 self._publish_state(False, failure)

@@ -19,7 +19,7 @@ _DENIED = re.compile(
     r"\S+ on \S*\+CertCommonName\((?P<name>[^)]*)\)\S* is unauthorized to (?P<action>\w+) \(ingress\) on (?P<key>\S+)"
 )
 _OUTWARD = re.compile(r"\S+ on \S+ is unauthorized to \w+ \(egress\)")  # it is not sent out: no event
-_LINK = r"{mark} (?P<event>joined|left) (?P<name>\S+) (?P<address>\S+)"
+_LINK = r"{mark} (?P<event>listening|joined|left) (?P<name>\S+) (?P<address>\S+)"
 _DROPPED = "Msg intercepted!"
 _HANDSHAKE = re.compile(r"(?P<why>.+?)\.? Hint:")
 _RULES, _ROUTING, _TLS = "interceptor::access_control", "routing::interceptor", "zenoh_link_tls::unicast"
@@ -29,6 +29,7 @@ _RULES, _ROUTING, _TLS = "interceptor::access_control", "routing::interceptor", 
 class LinkEvent(StrEnum):
     """What happened at the gateway."""
 
+    LISTENING = "listening"  # the process takes connections from now on
     JOINED = "joined"
     LEFT = "left"
     REFUSED = "refused"  # a message that the rules do not allow

@@ -3,8 +3,8 @@
 
 With `local` in the place of `stack` it is the router of a site, for robots and people.
 
-It writes Zenoh's log, and a line for each link over TLS that begins or ends (log_lines.py), which the order's `mark`
-begins. It ends with its stdin.
+It writes Zenoh's log, a line once it listens, and one for each link over TLS that begins or ends (log_lines.py). The
+order's `mark` begins its own lines. It ends with its stdin.
 """
 
 import json
@@ -37,6 +37,7 @@ def main() -> None:
     except zenoh.ZError as error:
         sys.stderr.write(f"cannot listen on {order['listen']}: {error}\n")
         os._exit(2)
+    _write(order["mark"], LinkEvent.LISTENING, "-", order["listen"])
     session.info.declare_link_events_listener(partial(_write_link, order["mark"]), history=True)
     while not select.select([sys.stdin], [], [], LOOK_S)[0]:
         if is_realtime:
@@ -69,7 +70,11 @@ def _write_link(mark: str, event: zenoh.LinkEvent) -> None:
     if not str(link.src).startswith("tls/"):
         return
     kind = LinkEvent.JOINED if event.kind == zenoh.SampleKind.PUT else LinkEvent.LEFT
-    sys.stdout.write(f"{mark} {kind} {link.auth_identifier or '-'} {link.dst}\n")
+    _write(mark, kind, link.auth_identifier or "-", link.dst)
+
+
+def _write(mark: str, event: LinkEvent, name: str, address: str) -> None:
+    sys.stdout.write(f"{mark} {event} {name} {address}\n")
     sys.stdout.flush()
 
 

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import IO
 
-from services.gateway.log_lines import LOG_FILTER, LineReader, LinkLine
+from services.gateway.log_lines import LOG_FILTER, LineReader, LinkEvent, LinkLine
 
 END_LIMIT_S = 2.0
 MAX_RECORD = 2**16  # bytes; what is longer has a long key, whose end is left out
@@ -24,11 +24,12 @@ COMMAND = (sys.executable, "-P", "-m", "services.gateway.router")
 class RouterProcess:
     """Runs from its making on. order: JSON that router.py reads.  take: gets each event, on a thread of its own.
 
-    inside: words before its command, as of a network namespace.
+    inside: words before its command, as of a network namespace.  listening: set once it takes connections.
     """
 
     def __init__(self, order: Mapping[str, str], take: Callable[[LinkLine], None], inside: Sequence[str] = ()) -> None:
         self._take, mark = take, secrets.token_hex(16)
+        self.listening = threading.Event()
         environment = {**os.environ, "RUST_LOG": LOG_FILTER}  # noqa: TID251  # Zenoh reads its settings from there
         environment.pop("ZENOH_RUNTIME", None)  # handshakes need threads of their own
         pipe = subprocess.PIPE
@@ -77,7 +78,10 @@ class RouterProcess:
         lines = LineReader(mark)
         with suppress(OSError):  # it was closed
             while record := self._records.recv(MAX_RECORD):
-                if (event := lines.read(record.decode(errors="replace"))) is not None:
+                event = lines.read(record.decode(errors="replace"))
+                if event is not None and event.event == LinkEvent.LISTENING:
+                    self.listening.set()
+                elif event is not None:
                     self._take(event)
 
     def _read_errors(self, stream: IO[str] | None) -> None:

@@ -25,6 +25,8 @@ from shared.secure_folder import RENEWAL_DAYS
 from shared.service import Log, Out, Service, on
 
 PORT = "members"
+REVOKED = "revoked"  # the role of a former member
+STARTING = "starting"  # the detail of a port whose process does not listen yet
 
 
 class GatewayConfig(Section):
@@ -59,7 +61,7 @@ class GatewayService(Service):
         if not self.is_open:
             return self.detail or "closed: set gateway.port.device"
         n = sum(self.connected.values())
-        text = f"{n} member{'' if n == 1 else 's'} connected"
+        text = f"{_members(n)} connected"
         if self.days_left is not None and self.days_left <= RENEWAL_DAYS:
             text += f"; the robot's certificate ends in {self.days_left} days"
         return text
@@ -71,7 +73,10 @@ class GatewayService(Service):
             return
         self.is_open, self.detail = state.open, state.detail
         self.connected.clear()
-        if state.detail and not state.open:
+        if state.open:
+            n = sum(role != REVOKED for role in self.roles.values())
+            yield Log("INFO", f"the gateway listens, and lets {_members(n)} in")
+        elif state.detail and state.detail != STARTING:
             yield Log("WARNING", f"gateway: {state.detail}")
 
     @on(topics.RX)
@@ -103,7 +108,7 @@ class GatewayService(Service):
                 yield Log("WARNING", f"audit: rejected a connection: {text} ({_times(n)})")
 
     def _take_members(self, event: dict[str, Any]) -> Out:
-        self.roles = {row["common_name"]: "revoked" if row["revoked"] else row["role"] for row in event["members"]}
+        self.roles = {row["common_name"]: REVOKED if row["revoked"] else row["role"] for row in event["members"]}
         self.names = {row["common_name"]: row["name"] for row in event["members"]}
         self.days_left = event["days_left"]
         if self.days_left <= RENEWAL_DAYS:
@@ -120,6 +125,10 @@ class GatewayService(Service):
     def _shown(self, common_name: str) -> str:
         name = self.names.get(common_name, common_name or "an unnamed connection")
         return f"{name} ({self.roles.get(common_name, 'no member')})"
+
+
+def _members(n: int) -> str:
+    return f"{n} member{'' if n == 1 else 's'}"
 
 
 def _times(n: int) -> str:

@@ -11,12 +11,23 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from shared.credentials import Credentials
 from shared.secure_folder import Member, MemberRole, SecureFolder
 
+NAME, COMMON_NAME = "brief", "brief.1"
+DAY_S = 86400.0
 
-def brief_operator(place: SecureFolder, robot: str, seconds: float) -> Credentials:
-    """Credentials of a new member `brief`, an operator, whose certificate ends so many seconds from now."""
-    end = datetime.now(UTC) + timedelta(seconds=seconds)  # noqa: TID251  # certificates end by the wall clock
-    place.write_members([*place.members(), Member("brief", MemberRole.OPERATOR, "brief.1", end.date().isoformat())])
-    return _credentials_until(place, robot, "brief.1", end)
+
+def admit_brief(place: SecureFolder) -> None:
+    """Makes `brief` an operator. A gateway starts again then, before it lets the member in."""
+    others = [member for member in place.members() if member.name != NAME]
+    place.write_members([*others, Member(NAME, MemberRole.OPERATOR, COMMON_NAME, _end(DAY_S).date().isoformat())])
+
+
+def brief_credentials(place: SecureFolder, robot: str, seconds: float) -> Credentials:
+    """Credentials of the operator `brief`, whose certificate ends so many seconds from now."""
+    return _credentials_until(place, robot, COMMON_NAME, _end(seconds))
+
+
+def _end(seconds: float) -> datetime:
+    return datetime.now(UTC) + timedelta(seconds=seconds)  # noqa: TID251  # certificates end by the wall clock
 
 
 def _credentials_until(place: SecureFolder, robot: str, common_name: str, end: datetime) -> Credentials:
@@ -38,7 +49,7 @@ def _credentials_until(place: SecureFolder, robot: str, common_name: str, end: d
     )
     form = (serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
     return Credentials(
-        name="brief",
+        name=NAME,
         role="operator",
         robot=robot,
         until=end.date().isoformat(),

@@ -24,7 +24,7 @@ from shared.messages import Health, LogLine
 from shared.runners import transport
 from shared.runners.transport import StackAddress
 from shared.secure_folder import MemberRole, SecureFolder
-from tests.stack.brief_certificate import brief_operator
+from tests.stack.brief_certificate import admit_brief, brief_credentials
 from zenav.client import Client
 from zenav.secure import members
 from zenav.secure.check import check_access
@@ -253,7 +253,10 @@ def test_a_revoked_member_is_cut_off_and_its_name_never_comes_back_by_the_old_fi
 
 def test_a_link_ends_with_its_certificate_and_nothing_of_it_arrives_afterwards(gateway):
     place = gateway.place
-    brief = brief_operator(place, ROBOT, 7)
+    gateway.lines.clear()
+    admit_brief(place)
+    gateway.until(lambda: any("the gateway listens" in line for line in gateway.lines))
+    brief = brief_credentials(place, ROBOT, 7)
     with gateway.open(brief) as session:
         gateway.put_until(session, "cmd/teleop", b"in time")
         gateway.until(lambda: any("brief (operator) disconnected" in line for line in gateway.lines), 30)

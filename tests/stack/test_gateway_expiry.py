@@ -16,7 +16,7 @@ from shared.messages import LogLine, NavState, Velocity
 from shared.requests import Navigate
 from shared.runners.transport import StackAddress
 from shared.secure_folder import SecureFolder
-from tests.stack.brief_certificate import brief_operator
+from tests.stack.brief_certificate import admit_brief, brief_credentials
 from tests.stack.processes import ALL, ROBOT, StackProcesses, running, wait
 from zenav.client import Client
 from zenav.secure import members
@@ -37,9 +37,11 @@ class RemoteStack:
         self.lines.append(line.text)
 
     def brief_member(self) -> Client:
-        """A tool's session of a member whose certificate ends soon."""
+        """A tool's session of a member whose certificate ends soon, once the gateway lets it in."""
         self.lines.clear()
-        credentials = brief_operator(self.place, ROBOT.name, HOLDS_S)
+        admit_brief(self.place)
+        self.stack.until(lambda: any("the gateway listens, and lets 1 member in" in line for line in self.lines), 60)
+        credentials = brief_credentials(self.place, ROBOT.name, HOLDS_S)
         return Client(ROBOT.name, StackAddress(router=f"tls/{self.address}", credentials=credentials))
 
     def accepted_task(self, member: Client, poses: tuple[Pose2, ...]) -> int:
@@ -76,14 +78,7 @@ def remote(tmp_path_factory):
         address = f"127.0.0.1:{probe.getsockname()[1]}"
     settings = (f"gateway.port.device=tls://{address}", f"gateway.folder={place.path}")
     with running(folder, (*ALL, "gateway"), settings=settings) as stack:
-        stack.until(lambda: listens(address), 60)  # the gateway runs before its door is open
         yield RemoteStack(stack, place, address)
-
-
-def listens(address: str) -> bool:
-    host, _, port = address.rpartition(":")
-    with socket.socket() as probe:
-        return probe.connect_ex((host, int(port))) == 0
 
 
 def test_a_task_goes_on_when_the_certificate_of_its_member_ends(remote):

@@ -56,9 +56,11 @@ def _serve(place: SecureFolder, listen: str, local: str, stop: StopFlag) -> str:
     names = {member.common_name: member for member in place.members()}
     order = {"local": local, "listen": listen, "folder": str(place.path)}
     process = RouterProcess(order, lambda line: _say(event_text(line, names)))
-    _say(f"robots and people connect to {listen}, programs of this computer to {local}")
-    failure = ""
+    failure, has_said = "", False
     while not failure and not stop.wait(LOOK_S) and folder_version(place) == version and today() == day:
+        if process.listening.is_set() and not has_said:
+            has_said = True
+            _say(f"robots and people connect to {listen}, programs of this computer to {local}")
         failure = process.failure()
     process.end()
     return failure

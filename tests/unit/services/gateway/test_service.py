@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.gateway.log_lines import LineReader, LinkEvent, LinkLine
-from services.gateway.service import PORT, GatewayConfig, GatewayService
+from services.gateway.service import PORT, STARTING, GatewayConfig, GatewayService
 from shared.config import load_robot
 from shared.messages import PortState, SerialData
 from shared.rejections import RejectionCause
@@ -52,6 +52,15 @@ def test_connected_members_are_counted_and_the_count_ends_with_the_process():
     assert service.state() == "certificates are missing"
 
 
+def test_a_gateway_starts_until_its_process_listens_and_logs_the_number_of_its_members():
+    service, _ = gateway()
+    assert list(service.port_state(PortState(2, PORT, False, STARTING))) == []
+    assert service.state() == STARTING
+    assert [out.text for out in service.port_state(PortState(3, PORT, True, ""))] == [
+        "the gateway listens, and lets 2 members in"
+    ]
+
+
 def test_certificates_that_end_soon_are_told_and_those_of_revoked_members_are_not():
     service, lines = gateway(days_left=10)
     assert "the robot's certificate ends in 10 days" in service.state()
@@ -94,6 +103,7 @@ def test_a_denial_that_is_only_remembered_is_no_refusal_and_names_no_later_drop(
     [
         (f"{MARK} joined anna.1 tls/10.0.0.7:4001", LinkLine(LinkEvent.JOINED, "anna.1", "tls/10.0.0.7:4001")),
         (f"{MARK} left - tls/10.0.0.7:4001", LinkLine(LinkEvent.LEFT, "", "tls/10.0.0.7:4001")),
+        (f"{MARK} listening - tls/0.0.0.0:7448", LinkLine(LinkEvent.LISTENING, "", "tls/0.0.0.0:7448")),
         (
             "2026 \x1b[33m WARN\x1b[0m acc-0 ThreadId(05) zenoh_link_tls::unicast: "
             "invalid peer certificate: UnknownIssuer. Hint: increase the system open file limit.",
