@@ -40,9 +40,11 @@ def slam_command(
         f"{out}/map.png: {report['scans_placed']} of {report['scans']} scans, {report['length_m']:.1f} m, "
         f"{report['loops']} loops closed, {report['cpu_s']:.1f} s of CPU\n"
     )
-    lag = report["odometry_lag_s"]
-    if lag is not None and abs(lag) >= MIN_LAG_S:
-        sys.stdout.write(f"odometry tells {abs(lag):.2f} s {'later' if lag > 0 else 'sooner'} than the laser\n")
+    lag, corrected = report["odometry_lag_s"], report["odometry_lag_corrected_s"]
+    if corrected or abs(lag or 0.0) >= MIN_LAG_S:
+        late = corrected or lag
+        end = ": its stamps were corrected" if corrected else ""
+        sys.stdout.write(f"odometry is {abs(late):.2f} s {'late' if late > 0 else 'early'} against the laser{end}\n")
     if report["truncated"]:
         sys.stderr.write(f"{log} ends early: its rest is missing, the map is of what came before\n")
     for note in report["notes"]:

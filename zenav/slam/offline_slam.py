@@ -31,7 +31,7 @@ from zenav.convert.source import read_log
 from zenav.maps.atomic_folder import replace_together
 from zenav.maps.foreign_map import read_map
 from zenav.maps.saved_map import map_files
-from zenav.slam.odometry_lag import odometry_lag
+from zenav.slam.odometry_lag import clear_lag, headings, odometry_lag, without_lag
 
 Mode = Literal["map", "localise", "continue"]
 """A new map; the robot found in a saved one, which stays as it is; a saved one that goes on."""
@@ -52,6 +52,7 @@ class OfflineRun:
         self.maps_from_local: list[Pose2 | None] = []  # at the estimates, None where the robot was not found yet
         self.logs: list[str] = []
         self.job_seconds = 0.0  # of CPU
+        self.lag = self.lag_seconds = 0.0  # s that odometry was late, which is corrected; of CPU to find it
         self._jobs: deque[Job] = deque()
         self.mapper.warm_up()
         if saved is not None:
@@ -157,13 +158,16 @@ def offline_slam(
     """
     config = config or MapperConfig()
     saved = _load_map(mode, saved_map, config)
-    read = read_log(log, choice)
+    read, begun = read_log(log, choice), process_time()
+    lag = clear_lag(read)
+    read, lag_seconds = without_lag(read, lag) if lag else read, process_time() - begun
     scans = [record for record in read.records if isinstance(record, LoggedScan)]
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"cannot write to {out}: {error.strerror}", "choose another folder for --out") from None
     run = OfflineRun(config, robot_of_log(scans), saved, mode)
+    run.lag, run.lag_seconds = lag, lag_seconds
     first = min(record.stamp for record in read.records)
     times = _feed(run, read, first, progress)
     if not run.localized:
@@ -281,10 +285,11 @@ def tum_text(stamps: Float64s, poses: Float64s) -> str:
     )
 
 
-def _turns(records: list[LoggedPose | LoggedScan], first: int) -> Float64s:
-    """(n, 2) s on the mapper's clock and rad, odometry's headings as they were logged, in time."""
-    rows = {mapper_time(first, record.stamp) * 1e-9: record.odom_from_base.yaw for record in records}
-    return np.array(sorted(rows.items()))
+def _remaining_lag(run: OfflineRun, log: DriveLog, first: int) -> float | None:
+    """s by which odometry is late against the matched scans."""
+    turns = headings(log)
+    turns[:, 0] += mapper_time(first, 0) / NS_PER_S
+    return odometry_lag(turns, _placed(run))
 
 
 def _placed(run: OfflineRun) -> Float64s:
@@ -301,7 +306,7 @@ def _report(
     poses: Float64s,
     times: list[float],
 ) -> dict[str, Any]:
-    first = min(record.stamp for record in log.records)
+    remaining = _remaining_lag(run, log, min(record.stamp for record in log.records)) if log.has_odometry else None
     quality = np.array([estimate.quality for estimate in run.estimates] or [0.0])
     states = [str(estimate.state) for estimate in run.estimates]
     return {
@@ -313,10 +318,11 @@ def _report(
         "truncated": log.truncated,
         "notes": log.notes,
         "odometry_jumps": run.mapper.scan_queue.odometry.n_jumps,
-        "odometry_lag_s": odometry_lag(_turns(log.records, first), _placed(run)) if log.has_odometry else None,
+        "odometry_lag_s": None if remaining is None else round(run.lag + remaining, 2),
+        "odometry_lag_corrected_s": round(run.lag, 2),
         "seconds": round((scans[-1].stamp - scans[0].stamp) * 1e-9, 3),
         "length_m": round(float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum()), 2),
-        "cpu_s": round(sum(times) + run.job_seconds, 3),
+        "cpu_s": round(sum(times) + run.job_seconds + run.lag_seconds, 3),
         "cpu_s_of_jobs": round(run.job_seconds, 3),
         "cpu_ms_per_scan": {
             "median": round(float(np.median(times)) * 1e3, 3),

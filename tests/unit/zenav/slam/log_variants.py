@@ -14,11 +14,13 @@ A reference NAME.relations or NAME.ref.tum beside the log is copied with each.
 | narrow | the outer beams see nothing; 60, 75 or 90 degrees remain of 180 |
 | odometry | 5 % too long, 5 % too little turn, a drift of 0.02 rad per m, and noise as large as each |
 | jumps | once in 40 m, odometry jumps by 0.8 m and about 0.2 rad |
+| late | odometry has the pose of 0.3, 0.64 or 0.9 s before, in turn |
 """
 
 import gzip
 import shutil
 import sys
+from collections import deque
 from collections.abc import Callable
 from math import cos, hypot, pi, sin
 from pathlib import Path
@@ -26,12 +28,14 @@ from pathlib import Path
 import numpy as np
 from numpy.random import Generator
 
-from shared.geometry import Pose2
+from shared.geometry import Pose2, interpolated
 from zenav.slam.slam_error import SUFFIXES
 
 MAX_RANGE_M = 30.0  # a larger range may be that of no return
 NO_RETURN_M, NO_BEAM_M = 81.83, 0.0
+LATE, LAGS_S = "late", (0.3, 0.64, 0.9)
 FIRST_RANGE = {"FLASER": 2, "ROBOTLASER1": 9}  # word of a line; the one before it is the number of ranges
+TO_STAMP = {"ODOM": 6, "FLASER": 3, "ROBOTLASER1": 8}  # words from odometry's pose
 
 Ranges = Callable[[list[float], int, Generator], list[float]]
 Step = Callable[[Pose2, Generator], Pose2]
@@ -83,6 +87,7 @@ class Variant:
         self.rng = np.random.default_rng(seed)
         self.measured: Pose2 | None = None  # of the last line
         self.changed = Pose2()
+        self.recent: deque[tuple[float, Pose2]] = deque()  # s; poses by odometry, from that which a late one is at
 
     def line(self, line: str) -> str:
         """The next line."""
@@ -96,7 +101,7 @@ class Variant:
                 word if after == before else f"{after:.3f}"
                 for word, before, after in zip(words[first:end], ranges, changed)
             ]
-        if self.kind in STEPS and words[0] in ("ODOM", *FIRST_RANGE):
+        if (self.kind == LATE or self.kind in STEPS) and words[0] in TO_STAMP:
             self._move(words)
         return " ".join(words)
 
@@ -104,7 +109,9 @@ class Variant:
         """Changes odometry's pose of a line, and the laser's, which is at the same place in these logs."""
         at = self._pose_word(words)
         measured = Pose2(*(float(word) for word in words[at : at + 3]))
-        if self.measured is None:
+        if self.kind == LATE:
+            self.changed = self._late(float(words[at + TO_STAMP[words[0]]]), measured)
+        elif self.measured is None:
             self.changed = measured
         else:
             self.changed = self.changed @ STEPS[self.kind](self.measured.inverse() @ measured, self.rng)
@@ -113,6 +120,15 @@ class Variant:
         words[at : at + 3] = pose
         if words[0] != "ODOM":
             words[at - 3 : at] = pose
+
+    def _late(self, stamp: float, measured: Pose2) -> Pose2:
+        """Adds a pose. Returns that of some time before it, or the first one. stamp: s."""
+        self.recent.append((stamp, measured))
+        late = stamp - LAGS_S[(self.seed - 1) % len(LAGS_S)]
+        while len(self.recent) > 1 and self.recent[1][0] <= late:
+            self.recent.popleft()
+        (before, a), (after, b) = self.recent[0], self.recent[min(1, len(self.recent) - 1)]
+        return interpolated(a, b, (late - before) / (after - before)) if before < late < after else a
 
     @staticmethod
     def _pose_word(words: list[str]) -> int:

@@ -92,5 +92,12 @@ def test_a_jump_is_as_long_as_it_says_in_any_direction_and_turns_little():
     assert {(off.x > 0, off.y > 0) for off in offs} == {(a, b) for a in (False, True) for b in (False, True)}
 
 
+def test_late_odometry_has_the_pose_of_some_time_before(tmp_path):
+    copies = [odometry(copy) for copy in variants("late", tmp_path)]
+    assert [pose.x for poses in copies for pose in poses] == pytest.approx(
+        [1.0, 1.0 + 0.1 * (1.5 - 0.3 - 1.0) / 0.5, 1.0 + 0.1 * (1.6 - 0.3 - 1.0) / 0.5] + [1.0] * 6
+    )
+
+
 def test_every_kind_is_tested():
     assert set(RANGES) | set(STEPS) == {"noise", "coarse", "short", "narrow", "odometry", "jumps"}

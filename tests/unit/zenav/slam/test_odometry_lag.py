@@ -1,10 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
+"""The lag of odometry is found by the scans, and a log is corrected where its whole drive shows a large one."""
+
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from zenav.slam.odometry_lag import odometry_lag
+from shared.geometry import Pose2
+from tests.unit.zenav.logs import ring_log, ring_poses
+from zenav.convert.carmen import read_carmen
+from zenav.convert.records import DriveLog, LoggedScan
+from zenav.slam.odometry_lag import clear_lag, odometry_lag, without_lag
+from zenav.slam.offline_slam import offline_slam
+
+POSES = ring_poses()
 
 
 def heading(t):
@@ -50,3 +61,55 @@ def test_without_turns_or_scans_nothing_is_told():
 def test_a_lag_beyond_what_is_looked_for_is_not_told_wrongly():
     found = odometry_lag(*tables(1.5))
     assert found is None or abs(found) > 0.8
+
+
+def ring_drive(tmp_path, late) -> DriveLog:
+    path = tmp_path / "ring.log"
+    path.write_text("\n".join(ring_log(POSES, late)) + "\n")
+    return read_carmen(path)
+
+
+@pytest.mark.parametrize("late", [-4, -1, 1.5, 3, 4])
+def test_a_large_lag_is_found_by_the_scans_and_the_corrected_log_has_the_odometry_of_each_scan(late, tmp_path):
+    log = ring_drive(tmp_path, [late] * len(POSES))
+    lag = clear_lag(log)
+    assert lag == pytest.approx(0.2 * late, abs=0.05)
+    corrected = without_lag(log, lag)
+    assert clear_lag(corrected) == 0.0
+    scans = [record for record in corrected.records if isinstance(record, LoggedScan)]
+    middle = slice(10, len(POSES) - 10)
+    for (a, b), (p, q) in zip(pairwise(scans[middle]), pairwise(POSES[middle]), strict=True):
+        off = (p.inverse() @ q).inverse() @ (a.odom_from_base.inverse() @ b.odom_from_base)
+        assert abs(off.x) < 0.06
+        assert abs(off.yaw) < 0.04
+    stamps = [record.stamp for record in corrected.records]
+    assert stamps == sorted(stamps)
+
+
+@pytest.mark.parametrize(
+    "late",
+    [[0] * len(POSES), [0.3] * len(POSES), [3 if k < len(POSES) / 2 else -3 for k in range(len(POSES))]],
+    ids=["none", "small", "not the same everywhere"],
+)
+def test_a_lag_that_is_small_or_not_clear_is_left_to_the_mapper(late, tmp_path):
+    assert clear_lag(ring_drive(tmp_path, late)) == 0.0
+
+
+def test_a_drive_with_few_turns_shows_no_lag(tmp_path):
+    log = ring_drive(tmp_path, [3] * len(POSES))
+    assert clear_lag(DriveLog(log.records[:150])) == 0.0
+    assert clear_lag(DriveLog(log.records[:1])) == 0.0
+
+
+def test_a_map_is_not_torn_by_odometry_that_is_late(tmp_path):
+    """The fault: each turn on the spot went on as long as odometry showed it, and the map turned with it."""
+    ring_drive(tmp_path, [3] * len(POSES))
+    report = offline_slam(tmp_path / "ring.log", tmp_path / "out")
+    assert report["odometry_lag_corrected_s"] == pytest.approx(0.6, abs=0.05)
+    assert report["odometry_lag_s"] == pytest.approx(0.6, abs=0.08)
+    rows = np.loadtxt(tmp_path / "out" / "trajectory.tum")
+    at = [int(np.argmin(np.abs(rows[:, 0] - 100 - 0.2 * k))) for k in range(len(POSES))]
+    assert np.abs(rows[at, 0] - 100 - 0.2 * np.arange(len(POSES))).max() < 1e-3
+    found = [Pose2(x, y, 2 * np.arctan2(z, w)) for x, y, z, w in rows[at][:, [1, 2, 6, 7]]]
+    off = [(POSES[0].inverse() @ p).distance(found[0].inverse() @ f) for p, f in zip(POSES, found)]
+    assert max(off) < 0.1
