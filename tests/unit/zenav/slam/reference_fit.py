@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Does the reference of a log agree with the log's own scans?
 
-    python -m tests.unit.zenav.slam.reference_fit LOG.log.gz LOG.relations
+    python -m tests.unit.zenav.slam.reference_fit LOG.log.gz LOG.relations [trajectory.tum]
 
 A hand-checked displacement may be wrong. Of each pair of up to 20 s, the later scan is laid on the earlier one by the
-reference, and by odometry. Where it fits by odometry and does not by the reference, the reference is wrong.
+reference, and by odometry. Where it fits by odometry and does not by the reference, the reference is wrong. A pair that
+is odometry to a millimetre was not measured, but taken from it. Of a trajectory, the errors on the short pairs and on
+all others are printed.
 """
 
 import sys
@@ -20,13 +22,14 @@ from shared.geometry import Pose2
 from shared.types import Float64s
 from zenav.convert.carmen import read_carmen
 from zenav.convert.records import LoggedScan
-from zenav.slam.slam_error import PosePairs, pairs_of
+from zenav.slam.slam_error import PosePairs, pair_errors, pairs_of, read_tum
 
 MAX_RANGE_M = 25.0  # beams beyond it are far apart
 MAX_PAIR_S = 20.0
 MIN_APART_M = 0.25  # between reference and odometry: less does not show in a fit
 SCALE_M, MAX_DISTANCE_M = 0.15, 0.5  # of a Geman-McClure kernel, and of a point to the earlier scan
 SLACK_M, SLACK_RAD = 0.15, 0.04  # a pose within them may fit better, of either
+MAX_COPY_M = 0.001  # from odometry to a reference that was taken from it
 MAX_FIT_RATIO = 0.5  # of the reference's fit to odometry's, for a reference that is wrong
 MAX_GAP_S = 30.0  # between two wrong pairs of one stretch
 
@@ -45,6 +48,11 @@ class PairFit:
     def is_wrong(self) -> bool:
         """Whether the scans contradict the reference and agree with odometry."""
         return self.apart > MIN_APART_M and self.by_reference < MAX_FIT_RATIO * self.by_odometry
+
+    @property
+    def is_copy(self) -> bool:
+        """Whether the reference is odometry's own displacement."""
+        return self.apart < MAX_COPY_M
 
 
 def pair_fits(scans: Sequence[LoggedScan], pairs: PosePairs) -> list[PairFit]:
@@ -89,18 +97,35 @@ def stretches(wrong: Sequence[PairFit]) -> list[list[PairFit]]:
     return [[fit for _, fit in group] for _, group in groupby(zip(ends, wrong), key=lambda one: one[0])]
 
 
-def main(log: str, reference: str) -> None:
+def mean_errors(pairs: PosePairs, trajectory: Path) -> tuple[float, float]:
+    """m, the mean errors of a trajectory on the short pairs and on the others."""
+    is_short = np.abs(pairs.late - pairs.early) <= MAX_PAIR_S
+    short, long = (
+        PosePairs(pairs.early[which], pairs.late[which], pairs.early_from_late[which])
+        for which in (is_short, ~is_short)
+    )
+    return tuple(float(pair_errors(*read_tum(trajectory), part).metres.mean()) for part in (short, long))
+
+
+def main(log: str, reference: str, trajectory: str = "") -> None:
     scans = [record for record in read_carmen(Path(log)).records if isinstance(record, LoggedScan)]
-    fits = pair_fits(scans, pairs_of(Path(reference))["relations"])
+    pairs = pairs_of(Path(reference))["relations"]
+    fits = pair_fits(scans, pairs)
+    n_copies, apart = sum(fit.is_copy for fit in fits), np.mean([fit.apart for fit in fits])
+    print(f"{n_copies} of {len(fits)} pairs are odometry to {MAX_COPY_M} m; all are {apart:.3f} m from it in the mean")
     wrong = [fit for fit in fits if fit.is_wrong]
     print(f"{len(wrong)} of {len(fits)} pairs of up to {MAX_PAIR_S:.0f} s contradict the scans, odometry does not")
     for group in stretches(wrong) if wrong else ():
         columns = np.array([(fit.by_reference, fit.by_odometry, fit.apart) for fit in group])
-        reference_fit, odometry_fit, apart = np.median(columns, axis=0)
+        reference_fit, odometry_fit, off = np.median(columns, axis=0)
         print(
-            f"{group[0].early:.0f} to {group[-1].late:.0f} s: {len(group)} pairs, {apart:.2f} m from odometry; "
+            f"{group[0].early:.0f} to {group[-1].late:.0f} s: {len(group)} pairs, {off:.2f} m from odometry; "
             f"{reference_fit:.2f} of the beams fit by the reference, {odometry_fit:.2f} by odometry"
         )
+    if trajectory:
+        short, long = mean_errors(pairs, Path(trajectory))
+        n = len(pairs.early) - len(fits)
+        print(f"the trajectory has {short:.3f} m on these pairs, and {long:.3f} m on the {n} others")
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from shared.geometry import Pose2
-from tests.unit.zenav.slam.reference_fit import pair_fits, stretches
+from tests.unit.zenav.slam.reference_fit import mean_errors, pair_fits, stretches
 from zenav.convert.records import LoggedScan
 from zenav.slam.slam_error import PosePairs
 
@@ -44,15 +44,26 @@ TRUE, ASIDE = Pose2(0.5, 0, 0), Pose2(0.45, 0.2, 0.05)
 
 
 @pytest.mark.parametrize(
-    ("reference", "odometry", "is_wrong"), [(ASIDE, TRUE, True), (TRUE, ASIDE, False), (TRUE, TRUE, False)]
+    ("reference", "odometry", "is_wrong", "is_copy"),
+    [(ASIDE, TRUE, True, False), (TRUE, ASIDE, False, False), (TRUE, TRUE, False, True)],
 )
-def test_a_reference_is_wrong_where_the_scans_fit_by_odometry_alone(reference, odometry, is_wrong):
+def test_a_reference_is_wrong_where_the_scans_fit_by_odometry_alone(reference, odometry, is_wrong, is_copy):
     found = fits(reference, odometry)
     assert len(found) == N - 2
     assert {fit.is_wrong for fit in found} == {is_wrong}
+    assert {fit.is_copy for fit in found} == {is_copy}
 
 
 def test_wrong_pairs_that_follow_each_other_are_one_stretch():
     wrong = fits(ASIDE, TRUE)
     assert stretches(wrong) == [wrong]
     assert stretches([]) == []
+
+
+def test_short_pairs_and_others_have_their_own_mean_error(tmp_path):
+    """The trajectory is a centimetre too long each second."""
+    path = tmp_path / "trajectory.tum"
+    path.write_text("".join(f"{k} {0.51 * k} 0 0 0 0 0 1\n" for k in range(60)))
+    early, late = np.array([0.0, 10.0, 0.0]), np.array([2.0, 14.0, 50.0])
+    rows = np.column_stack((0.5 * (late - early), np.zeros(3), np.zeros(3)))
+    assert mean_errors(PosePairs(early, late, rows), path) == pytest.approx((0.03, 0.5))
