@@ -114,14 +114,17 @@ def search(
     turn: float,
     min_score: float,
     config: BranchAndBoundConfig,
+    farther: tuple[float, ...] = (),
 ) -> tuple[list[Candidate], int]:
-    """Returns the best pose of the window with a score of `min_score`, and its best rival, where they exist.
+    """Returns the best pose of the window with a score of `min_score`, and its best rivals, where they exist.
 
     points: (n, 2) m in `base`.  centre: of the window, in the pyramid's frame.
     reach: half the window's width in x and y, m, rounded up to cells.  turn: the same in yaw, rad; pi is a circle.
-    The rival is the best pose at `min_rival_distance` m or `min_rival_turn` rad from the best one. Of poses with equal
-    scores the one nearest to the centre is chosen, in steps of the lattice. The second result is the number of windows
-    evaluated. There is no pose where the search needs more than `max_windows`.
+    farther: further distances, m, that rise.
+    A rival is the best pose at `min_rival_distance` m or `min_rival_turn` rad from the best one. For each of the
+    `farther` distances there is one more, which may be the same. Of poses with equal scores the one nearest to the
+    centre is chosen, in steps of the lattice. The second result is the number of windows evaluated. There is no pose
+    where the best one and its first rival need more than `max_windows`, and no further rival that needs more.
     """
     points = voxel_downsample(points, config.max_points, pyramid.resolution)
     n = len(points)
@@ -136,25 +139,27 @@ def search(
 
     candidates: list[Candidate] = []
     near = np.zeros(len(turns), np.bool_)
-    best_i = best_j = n_windows = 0
-    for _ in range(2):
-        total, h, best_i, best_j, n_looked = _depth_first(
+    best_i = best_j = n_windows = n_for_best = 0
+    for distance in (0.0, config.min_rival_distance, *farther):
+        total, h, i, j, n_looked = _depth_first(
             levels, rows, columns, k, middle, roots, min_sum, near, best_i, best_j,
-            config.min_rival_distance / pyramid.resolution, config.max_windows - n_windows,
+            distance / pyramid.resolution, config.max_windows - n_for_best,
         )  # fmt: skip
         n_windows += n_looked
-        if n_windows > config.max_windows:
-            return [], n_windows
+        if n_for_best + n_looked > config.max_windows:
+            return candidates if len(candidates) > 1 else [], n_windows
         if total < 0:
             break
         pose = Pose2(
-            centre.x + best_i * pyramid.resolution,
-            centre.y + best_j * pyramid.resolution,
+            centre.x + i * pyramid.resolution,
+            centre.y + j * pyramid.resolution,
             wrapped(centre.yaw + float(turns[h])),
         )
         candidates.append(Candidate(pose, total / (MAX_VALUE * n)))
-        min_sum = max(min_sum, ceil(config.min_rival_ratio * total))
-        near = np.array([abs(wrapped(t - turns[h])) <= config.min_rival_turn for t in turns])
+        if len(candidates) == 1:
+            best_i, best_j, n_for_best = i, j, n_looked
+            min_sum = max(min_sum, ceil(config.min_rival_ratio * total))
+            near = np.array([abs(wrapped(t - turns[h])) <= config.min_rival_turn for t in turns])
     return candidates, n_windows
 
 

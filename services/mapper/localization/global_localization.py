@@ -197,14 +197,12 @@ def find_poses(
     max_windows = config.search.max_windows if part_about is None else MAX_PART_WINDOWS
     if part_about is not None and cost > MAX_LOOKUPS:
         centre, reach, cost = part_about @ newest, reach * sqrt(MAX_LOOKUPS / cost), round(MAX_LOOKUPS)
-    seconds = 0.0
-    for rival_distance in (config.search.min_rival_distance, config.far_rival_distance):
-        settings = config.search.model_copy(update={"min_rival_distance": rival_distance, "max_windows": max_windows})
-        candidates, n_windows = search(points, pyramid, centre, reach, turn, config.min_score, settings)
-        seconds += cost / LOOKUPS_PER_S + n_windows / WINDOWS_PER_S
-        starts += [candidate.pose for candidate in candidates if candidate.pose not in starts]
-        if len(candidates) < 2:  # no rival near the best pose, so none farther off
-            break
+    settings = config.search.model_copy(update={"max_windows": max_windows})
+    candidates, n_windows = search(
+        points, pyramid, centre, reach, turn, config.min_score, settings, (config.far_rival_distance,)
+    )
+    seconds = cost / LOOKUPS_PER_S + n_windows / WINDOWS_PER_S
+    starts += [candidate.pose for candidate in candidates if candidate.pose not in starts]
     hypotheses: list[PoseHypothesis] = []
     for start in starts:
         hypothesis = _evaluate(group.register(submap, start), submap, group, config)

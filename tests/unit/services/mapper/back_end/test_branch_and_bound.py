@@ -49,8 +49,8 @@ def lattice(points, pyramid, centre, reach, turn, config):
     return turns, k, sums, 255 * len(points)
 
 
-def brute_force(points, pyramid, centre, reach, turn, least, config):
-    """What `search` promises, from the sums of all poses: (x, y, yaw, score) of the best and of its rival."""
+def brute_force(points, pyramid, centre, reach, turn, least, config, farther=()):
+    """What `search` promises, from the sums of all poses: (x, y, yaw, score) of the best and of its rivals."""
     turns, k, sums, full = lattice(points, pyramid, centre, reach, turn, config)
     poses = [
         (-int(sums[h, a, b]), (h - len(turns) // 2) ** 2 + (a - k) ** 2 + (b - k) ** 2, h, a - k, b - k)
@@ -59,16 +59,17 @@ def brute_force(points, pyramid, centre, reach, turn, least, config):
     found = []
     if poses:
         found.append(best := min(poses))
-        rivals = [
-            pose
-            for pose in poses
-            if -pose[0] >= config.min_rival_ratio * -best[0]
-            and (
-                hypot(pose[3] - best[3], pose[4] - best[4]) > config.min_rival_distance / pyramid.resolution
-                or abs(wrapped(turns[pose[2]] - turns[best[2]])) > config.min_rival_turn
-            )
-        ]
-        found += [min(rivals)] if rivals else []
+        for distance in (config.min_rival_distance, *farther):
+            rivals = [
+                pose
+                for pose in poses
+                if -pose[0] >= config.min_rival_ratio * -best[0]
+                and (
+                    hypot(pose[3] - best[3], pose[4] - best[4]) > distance / pyramid.resolution
+                    or abs(wrapped(turns[pose[2]] - turns[best[2]])) > config.min_rival_turn
+                )
+            ]
+            found += [min(rivals)] if rivals else []
     r = pyramid.resolution
     rows = [(centre.x + i * r, centre.y + j * r, wrapped(centre.yaw + turns[h]), -s / full) for s, _, h, i, j in found]
     return np.array(rows).reshape(-1, 4)
@@ -88,8 +89,9 @@ def as_rows(candidates):
     turn=st.sampled_from([0.0, 0.3, 3.0, pi]),
     least=st.sampled_from([0.0, 0.3, 0.6]),
     rival=st.sampled_from([0.0, 0.8]),
+    farther=st.sampled_from([(), (0.8,), (0.35, 1.2)]),
 )
-def test_the_search_is_brute_force_over_its_lattice(seed, n_map, n_beams, levels, reach, turn, least, rival):
+def test_the_search_is_brute_force_over_its_lattice(seed, n_map, n_beams, levels, reach, turn, least, rival, farther):
     rng = np.random.default_rng(seed)
     config = BranchAndBoundConfig(
         resolution=0.1,
@@ -103,7 +105,7 @@ def test_the_search_is_brute_force_over_its_lattice(seed, n_map, n_beams, levels
     pyramid = build_pyramid(rng.uniform(-2, 2, (n_map, 2)), config)
     points = rng.uniform(-1.5, 1.5, (n_beams, 2))
     centre = Pose2(*rng.uniform((-1, -1, -pi), (1, 1, pi)))
-    arguments = points, pyramid, centre, reach, turn, least, config
+    arguments = points, pyramid, centre, reach, turn, least, config, farther
     found, expected = as_rows(search(*arguments)), brute_force(*arguments)
     assert found.shape == expected.shape
     assert found == pytest.approx(expected, abs=1e-12)
