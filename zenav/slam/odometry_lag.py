@@ -54,7 +54,8 @@ def clear_lag(log: DriveLog) -> float:
     if not log.has_odometry or len(scans) < 2:
         return 0.0
     odometry = headings(log)
-    placed = np.column_stack(([scan.stamp / NS_PER_S for scan in scans], np.cumsum(scan_turns(scans))))
+    middles = [scan.stamp / NS_PER_S + scan.scan_time / 2 for scan in scans]  # of sweeps, which measure their mean turn
+    placed = np.column_stack((middles, np.cumsum(scan_turns(scans))))
     lags = np.array([lag for lag in _lags_of_parts(odometry, placed) if lag is not None])
     if len(lags) < MIN_PARTS:
         return 0.0

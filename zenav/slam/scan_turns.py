@@ -43,11 +43,13 @@ def _spectrum(scan: LoggedScan) -> NDArray[np.complex128]:
 
 
 def _turn(before: NDArray[np.complex128], after: NDArray[np.complex128]) -> float:
-    """rad, of the best correlation, between bins by a parabola. The walls turn against the robot."""
+    """rad, of the best correlation, between bins by a parabola; 0 without any. The walls turn against the robot."""
     correlation = np.fft.irfft(before * after.conj() * _SMOOTHING, N_BINS)
     reach = round(MAX_TURN_RAD / (2 * np.pi) * N_BINS)
     near = np.concatenate((correlation[-reach:], correlation[: reach + 1]))
     best = int(np.argmax(near))
+    if near[best] <= 0:  # a scan without a wall
+        return 0.0
     offset = 0.0
     if 0 < best < len(near) - 1:
         left, middle, right = near[best - 1 : best + 2]

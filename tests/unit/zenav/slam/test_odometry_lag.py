@@ -8,12 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shared.geometry import Pose2
+from shared.geometry import Pose2, interpolated
+from tests.unit.services.mapper.rooms import RING, cast
 from tests.unit.zenav.logs import ring_log, ring_poses
 from zenav.convert.carmen import read_carmen
-from zenav.convert.records import DriveLog, LoggedScan
+from zenav.convert.records import DriveLog, LoggedPose, LoggedScan
 from zenav.slam.odometry_lag import clear_lag, odometry_lag, without_lag
 from zenav.slam.offline_slam import offline_slam
+from zenav.slam.scan_turns import scan_turns
 
 POSES = ring_poses()
 
@@ -113,3 +115,22 @@ def test_a_map_is_not_torn_by_odometry_that_is_late(tmp_path):
     found = [Pose2(x, y, 2 * np.arctan2(z, w)) for x, y, z, w in rows[at][:, [1, 2, 6, 7]]]
     off = [(POSES[0].inverse() @ p).distance(found[0].inverse() @ f) for p, f in zip(POSES, found)]
     assert max(off) < 0.1
+
+
+def test_a_sweep_that_takes_time_is_no_lag():
+    """The beams of a sweep are taken one after the other, while the robot turns; the log dates the first one."""
+    angles, records = np.radians(np.arange(-120, 120)), list[LoggedPose | LoggedScan]()
+    for k, (pose, following) in enumerate(pairwise(POSES)):
+        shares = np.linspace(0, 1, len(angles))
+        places = [interpolated(pose, following, share) for share in shares]
+        origins, yaws = np.array([(p.x, p.y) for p in places]), np.array([p.yaw for p in places])
+        ranges = cast(RING, origins, yaws + angles).astype(np.float32)
+        at = POSES[0].inverse() @ pose
+        records.append(LoggedScan(k * 200_000_000, at, at, angles[0], np.radians(1), 30.0, ranges, scan_time=0.2))
+    assert clear_lag(DriveLog(records)) == 0.0
+
+
+def test_scans_that_see_nothing_turn_nowhere():
+    ranges = np.full(180, np.nan, np.float32)
+    scans = [LoggedScan(k, Pose2(), Pose2(), -1.5, 0.02, 30.0, ranges) for k in range(3)]
+    assert scan_turns(scans).tolist() == [0.0, 0.0, 0.0]
