@@ -20,7 +20,7 @@ MAX_LAG_S = 1.0  # to either side
 STEP = 0.01  # s
 MIN_TURN_RAD = 3.0  # sum of all turns: a drive with less does not determine the lag
 KERNEL_RAD = 0.05  # scale of a Geman-McClure kernel, for the turn between two scans
-MIN_CLEAR_LAG_S = 0.1  # a smaller lag is within the errors that the mapper expects of odometry
+MIN_CLEAR_LAG_S = 0.25  # a smaller lag is within the errors that the mapper expects of odometry
 PART_TURN_RAD, MIN_PARTS, MAX_PARTS = 4.0, 3, 8  # of a drive, by odometry's turns; each part shows the lag
 MAX_SPREAD_S, MIN_AGREEING = 0.1, 0.75  # from the parts' lags to their median, and the share of such parts
 
