@@ -14,6 +14,7 @@ all other places, are our own.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import inf
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from services.mapper.back_end.loop_closure import (
     PlaceMatch,
     SearchWindow,
     SubmapCache,
+    evidence_ratio,
     existing,
     is_beyond_window,
     is_other_pose,
@@ -44,8 +46,10 @@ MAX_SIGMAS = 3.0  # of the drift that is searched: a place beyond two of them ma
 MIN_AGREEING_PATH_M = 3.0  # over which closures agree
 MIN_PATH_PER_OFFSET = 0.05  # m more of that path for each m by which they move the robot
 FIRST_SHARE, FOLLOWING_SHARE = 0.85, 0.75  # of the beams that must agree with a closure: for a hypothesis, and after it
-MAX_EXTRA_MISSES = 3  # keyframes that do not fit where the hypothesis puts them, beyond as many as fit; a rival is two
+MAX_EXTRA_MISSES = 3  # keyframes that do not fit where the hypothesis puts them, beyond as many as fit
+MISSES_PER_RIVAL = 4  # that a keyframe counts for if it fits at another place as well
 MAX_RIVAL_RATIO = 0.8  # margin of another place, as a share of the hypothesis'
+MAX_EVIDENCE_RATIO = 0.35  # evidence against the hypothesis, as a share of that against another place
 HYPOTHESIS_COVARIANCE = np.zeros((3, 3))
 """Of a keyframe by its hypothesis: the smallest window of a closure is wide enough."""
 SAME_PLACE_M, SAME_PLACE_RAD = 1.0, 0.2  # difference of poses that count as one, as old places have errors of their own
@@ -113,7 +117,7 @@ class FarClosures:
 
     def add(self, search: FarSearch, graph: PoseGraph) -> list[Constraint]:
         """Adds the result of a search. Returns the closures that agree once they count; else none."""
-        self.n_misses += search.has_missed + 2 * search.is_ambiguous
+        self.n_misses += search.has_missed + MISSES_PER_RIVAL * search.is_ambiguous
         if search.compared is not None:
             self.margins.pop(search.compared, None)
         if search.closure is not None:
@@ -164,9 +168,10 @@ def _is_unique(
     config: LoopClosureConfig,
     closure: Constraint,
 ) -> bool:
-    """Whether the later keyframe of a closure fits at no other place within its drift as well.
+    """Whether the later keyframe of a closure fits at no other place as well.
 
-    It is compared with the nodes before it.  Others as for `find_far_closure`.
+    It is compared with the nodes before it: within its drift, and where it cannot be. A building in which it fits at
+    another of these looks alike, and so the match proves little.  Others as for `find_far_closure`.
     """
     before, covariances, keyframes, driven = visits_before(graph, keyframes, driven, closure.j)
     limits = drift_limits(covariances, driven, config)
@@ -183,7 +188,12 @@ def _is_unique(
             search.has_rival(place, pose_of(map_from_last[place]), *found) for place in places.tolist()
         ):
             return False
-    return n_places > 0
+    if n_places == 0:
+        return False
+    elsewhere = at_each_node(before)
+    places = distant_places(before.poses, elsewhere, limits, config)
+    places = places[:: -(-len(places) // MAX_PLACES)]
+    return not any(search.has_rival(place, pose_of(elsewhere[place]), *found, config.view_radius) for place in places)
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,9 +207,14 @@ class _Search:
     covariances: Float64s
     limits: Float64s
 
-    def within_drift(self, row: int, map_from_last: Pose2, min_score: float) -> PlaceMatch | None:
-        """Returns the match with the place of a row, within the drift of a guess; None if too many poses fit."""
-        drifted = self.covariances[row], MAX_SIGMAS, float(self.limits[row])
+    def within_drift(
+        self, row: int, map_from_last: Pose2, min_score: float, max_reach: float = inf
+    ) -> PlaceMatch | None:
+        """Returns the match with the place of a row, within the drift of a guess; None if too many poses fit.
+
+        max_reach: m, of the window.
+        """
+        drifted = self.covariances[row], MAX_SIGMAS, min(float(self.limits[row]), max_reach)
         window = SearchWindow.of(map_from_last, *drifted, self.config)
         return self._match(row, replace(window, min_score=min_score, max_steps=MAX_STEPS, is_even=True))
 
@@ -235,14 +250,21 @@ class _Search:
         fits = [(m.margin, row, m) for row, m in matches if m is not None and m.is_accepted(config, FOLLOWING_SHARE)]
         return max(fits, key=lambda one: one[:2])[1:] if fits else None
 
-    def has_rival(self, place: int, map_from_last: Pose2, row: int, best: PlaceMatch) -> bool:
-        """Whether the keyframe fits at another pose at a place nearly as well as at its best pose, near a row."""
-        found = self.within_drift(place, map_from_last, max(self.config.min_score, MAX_RIVAL_RATIO * best.score))
+    def has_rival(self, place: int, map_from_last: Pose2, row: int, best: PlaceMatch, max_reach: float = inf) -> bool:
+        """Whether the keyframe fits at another pose at a place nearly as well as at its best pose, near a row.
+
+        Where the robot is on new ground, the best of many similar places fits not much better than the next. Beams
+        that contradict it show that, so it must have little evidence against it compared with its rivals.
+        """
+        found = self.within_drift(
+            place, map_from_last, max(self.config.min_score, MAX_RIVAL_RATIO * best.score), max_reach
+        )
         if found is None:
             return True
         pose = self._pose(row, best)
         return any(
-            margin > MAX_RIVAL_RATIO * best.margin and is_other_pose(pose, other, SAME_PLACE_M, SAME_PLACE_RAD)
+            is_other_pose(pose, other, SAME_PLACE_M, SAME_PLACE_RAD)
+            and (margin > MAX_RIVAL_RATIO * best.margin or evidence_ratio(best.margin, margin) > MAX_EVIDENCE_RATIO)
             for other, margin in ((self._pose(place, found), found.margin), *found.rivals)
         )
 
@@ -272,6 +294,11 @@ def drift_limits(covariances: Float64s, driven: Float64s, config: LoopClosureCon
 def by_graph(graph: Graph) -> Float64s:
     """Returns (n, 3) m, m, rad: for each node, the last one's pose in `map`, which is the same."""
     return np.broadcast_to(graph.poses[-1], graph.poses.shape)
+
+
+def at_each_node(graph: Graph) -> Float64s:
+    """Returns (n, 3) m, m, rad: for each node, a pose there that looks where the last one looks, in `map`."""
+    return np.column_stack((graph.poses[:, :2], np.full(len(graph.poses), graph.poses[-1, 2])))
 
 
 def by_odometry(graph: Graph, keyframes: Sequence[Keyframe]) -> Float64s:

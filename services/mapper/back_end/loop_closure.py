@@ -35,6 +35,7 @@ MIN_PARTIAL_RATIO = 0.2  # beams that agree with a partial closure, as a share o
 MAX_PARTIAL_CONTRADICTION = 0.2  # beams that contradict it, as a share of those that agree
 MAX_PARTIAL_RIVAL_RATIO = 0.5  # margin of another pose, as a share of the best one's
 PARTIAL_SIGMAS = 0.1, 0.02  # m, rad: minimum standard deviations of a partial closure
+CLUTTER_RATIO = 0.02  # share of the beams that may contradict any pose
 MIN_RIVAL_M, MIN_RIVAL_RAD = 0.3, 0.2  # distance from the best pose from which another pose is a rival
 
 
@@ -352,6 +353,14 @@ def match_place(
     ]
     score = max((candidate.score for candidate in candidates), default=0.0)
     return PlaceMatch(match, margin, score, row_from_local @ pose, rivals)
+
+
+def evidence_ratio(best: float, rival: float) -> float:
+    """Returns the evidence against a pose as a share of that against another pose, by their margins, -1..1.
+
+    A pose that fits well where the other fits badly has nearly 0; two that fit alike have 1 or more.
+    """
+    return (1 - best + CLUTTER_RATIO) / max(1 - rival, CLUTTER_RATIO)
 
 
 def is_other_pose(a: Pose2, b: Pose2, distance: float, turn: float) -> bool:

@@ -24,6 +24,7 @@ from services.mapper.back_end.branch_and_bound import (
     search_cost,
 )
 from services.mapper.back_end.keyframe import Keyframe
+from services.mapper.back_end.loop_closure import evidence_ratio
 from services.mapper.front_end.registration import Match, Prior, RegistrationConfig
 from services.mapper.front_end.submap import Submap
 from services.mapper.grid.edit_cells import edit_masks, erased_points
@@ -37,7 +38,6 @@ from shared.types import Float64s
 MAX_POINTS = 2000  # of all keyframes together, for registration
 MIN_POINTS = 30  # of a keyframe that is evaluated
 MAX_SAME_POSE_M, MAX_SAME_POSE_RAD = 0.3, 0.15  # difference of two hypotheses that count as one
-CLUTTER_RATIO = 0.02  # share of the beams that may contradict any pose
 LOOKUPS_PER_S = 1e10  # cells that a search reads in a second of CPU
 WINDOWS_PER_S = 1.4e6  # windows that it evaluates in a second of CPU
 MAX_PART_WINDOWS = 200_000  # of a search for a part of the map: with more, it looks like many places
@@ -353,7 +353,7 @@ class GlobalLocalizer:
         against the best pose must be a small share of that against the next.
         """
         best, rival = hypotheses[0].margin, hypotheses[1].margin if len(hypotheses) > 1 else 0.0
-        return 1 - best + CLUTTER_RATIO <= self.config.max_rival_ratio * (1 - rival)
+        return evidence_ratio(best, rival) <= self.config.max_rival_ratio
 
 
 def _search(
