@@ -228,14 +228,14 @@ class BackEnd:
         if joining and not self.is_joined:
             newest, c = self.graph.pose(int(self.graph.nodes[-1])), joining[-1]
             self._join_part(self.graph.pose(c.i) @ c.i_from_j @ self.graph.pose(c.j).inverse() @ newest)
-        self.add_closures(closures)
+        self.add_closures((), closures)
 
-    def add_closures(self, closures: Sequence[Constraint]) -> None:
-        """Adds loop closures. Those of an unjoined part wait until enough of them agree."""
+    def add_closures(self, closures: Sequence[Constraint], confirmed: Sequence[Constraint] = ()) -> None:
+        """Adds loop closures. Those of an unjoined part, and doubtful ones, wait until others confirm them."""
         closures = existing(self.graph, closures)
         if not self.is_joined:
             closures = [*(c for c in closures if c.i >= self.first_node), *self._joining_closures(closures)]
-        closures = self.search.partial_closures.add(closures, self.graph, self.driven)
+        closures = self.search.doubtful_closures.add(closures, confirmed, self.graph, self.driven)
         for closure in closures:
             expected = self.graph.pose(closure.i).inverse() @ self.graph.pose(closure.j)
             error = expected.inverse() @ closure.i_from_j

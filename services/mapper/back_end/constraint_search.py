@@ -11,6 +11,7 @@ from math import inf
 
 import numpy as np
 
+from services.mapper.back_end.doubtful_closures import DoubtfulClosures
 from services.mapper.back_end.far_closures import (
     SEARCH_INTERVAL_M,
     FarClosures,
@@ -28,7 +29,6 @@ from services.mapper.back_end.loop_closure import (
 )
 from services.mapper.back_end.map_parts import joined_nodes
 from services.mapper.back_end.pairwise_constraints import PairwiseConfig, find_pairwise_constraints
-from services.mapper.back_end.partial_closures import PartialClosures
 from services.mapper.back_end.pose_graph import Graph, PoseGraph
 from services.mapper.back_end.relative_covariance import relative_covariances
 from services.mapper.front_end.registration import RegistrationConfig
@@ -72,7 +72,7 @@ class ConstraintSearch:
         self.searched_at = self.searched_far_at = 0.0  # m driven, at the last search
         self.last_searched = -1  # name of the newest node whose pairwise constraints were searched
         self.far_closures = FarClosures()
-        self.partial_closures = PartialClosures()
+        self.doubtful_closures = DoubtfulClosures()
         self.again: list[int] = []  # names of nodes whose closures are to be searched again, the next one last
         self.drifted_from = inf  # m driven, where a drift began that the next optimum corrects
 

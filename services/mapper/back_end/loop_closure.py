@@ -81,7 +81,7 @@ class LoopClosureConfig(Section):
 class Constraint:
     """The pose of node j in the frame of node i, with information (3, 3) of (x, y, yaw) in the frame of j.
 
-    is_partial: few beams agree with it, so it counts once others agree (see partial_closures.py).
+    is_partial: few beams agree with it, so it counts once others agree (see doubtful_closures.py).
     """
 
     i: int
