@@ -199,5 +199,7 @@ def write_log(folder: Path, kind: str, seed: int, n_scans: int | None = None) ->
 
 
 if __name__ == "__main__":
+    if len(sys.argv) < 4 or sys.argv[2] not in KINDS or not all(word.isdigit() for word in sys.argv[3:]):
+        sys.exit(f"give a folder, one of the kinds {', '.join(KINDS)}, and seeds: DIR dark 5 6 7")
     for one in sys.argv[3:]:
         write_log(Path(sys.argv[1]), sys.argv[2], int(one))
