@@ -358,7 +358,8 @@ def match_place(
 def evidence_ratio(best: float, rival: float) -> float:
     """Returns the evidence against a pose as a share of that against another pose, by their margins, -1..1.
 
-    A pose that fits well where the other fits badly has nearly 0; two that fit alike have 1 or more.
+    A pose that fits well where the other fits badly has nearly 0; two that fit alike have 1 or more. It is derived from
+    the ratio test of Lowe, IJCV 2004, section 7.1.
     """
     return (1 - best + CLUTTER_RATIO) / max(1 - rival, CLUTTER_RATIO)
 
