@@ -254,7 +254,8 @@ class _Search:
         """Whether the keyframe fits at another pose at a place nearly as well as at its best pose, near a row.
 
         Where the robot is on new ground, the best of many similar places fits not much better than the next. Beams
-        that contradict it show that, so it must have little evidence against it compared with its rivals.
+        that contradict it show that, so it must have little evidence against it compared with its rivals. A pose that
+        no hypothesis would follow is none of them.
         """
         found = self.within_drift(
             place, map_from_last, max(self.config.min_score, MAX_RIVAL_RATIO * best.score), max_reach
@@ -262,9 +263,11 @@ class _Search:
         if found is None:
             return True
         pose = self._pose(row, best)
+        min_margin = FOLLOWING_SHARE * self.config.min_inlier_margin
         return any(
             is_other_pose(pose, other, SAME_PLACE_M, SAME_PLACE_RAD)
             and (margin > MAX_RIVAL_RATIO * best.margin or evidence_ratio(best.margin, margin) > MAX_EVIDENCE_RATIO)
+            and margin >= min_margin
             for other, margin in ((self._pose(place, found), found.margin), *found.rivals)
         )
 

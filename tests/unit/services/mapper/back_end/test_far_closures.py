@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """After a drift of many metres the robot is found on its own map, but not where another place looks the same."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from services.mapper.back_end import far_closures
 from services.mapper.back_end.back_end import BackEnd
 from services.mapper.back_end.constraint_search import AGAIN_SPACING_M, ConstraintSearch
 from services.mapper.back_end.far_closures import (
@@ -19,7 +22,7 @@ from services.mapper.back_end.far_closures import (
     find_far_closure,
 )
 from services.mapper.back_end.keyframe import Keyframe
-from services.mapper.back_end.loop_closure import Constraint, LoopClosureConfig
+from services.mapper.back_end.loop_closure import Constraint, LoopClosureConfig, match_place
 from services.mapper.back_end.map_parts import MIN_FAR_JOINTS, OdometryGap
 from services.mapper.back_end.pose_graph import PoseGraph
 from services.mapper.back_end.relative_covariance import relative_covariances
@@ -155,6 +158,35 @@ def test_a_newest_keyframe_that_sees_nothing_does_not_hinder_the_best_match_so_f
     assert found.has_missed
     assert found.is_unique
     assert found.compared == hypothesis.best.j != graph.nodes[-1]
+
+
+@pytest.mark.parametrize(
+    ("best", "rival", "is_unique"), [(0.65, 0.3, True), (0.65, 0.5, False), (0.97, 0.75, True), (0.97, 0.9, False)]
+)
+def test_a_match_of_plants_is_unique_where_no_other_place_fits_well_enough_to_follow(
+    monkeypatch, best, rival, is_unique
+):
+    """Outdoors a third of the beams do not agree at the right place, and a third of them agree at any other one."""
+    driven = round_the_ring(2 * LAP)
+    begin_part(driven, OFF)
+    back_end = driven.mapper.back_end
+    hypothesis = None
+    while hypothesis is None or hypothesis.best is None:
+        drive(driven, 1)
+        hypothesis = back_end.search.far_closures.hypothesis(back_end.graph, back_end.driven)
+    graph = back_end.graph.snapshot()
+    away = Pose2(*graph.poses[0].tolist()) @ Pose2(0, 100, 0)
+
+    def match_of_plants(graph, keyframes, row, last, window, submaps, config):
+        found = match_place(graph, keyframes, row, last, window, submaps, config)
+        margin = rival if window.is_even else best
+        rivals = [(away, margin)] if window.is_even else []
+        return found and replace(found, margin=margin, rivals=rivals)
+
+    monkeypatch.setattr(far_closures, "match_place", match_of_plants)
+    covariances = relative_covariances(graph, int(graph.nodes[-1]))
+    visits = graph, covariances, back_end.keyframes, np.array(back_end.driven), back_end.submaps
+    assert find_far_closure(*visits, back_end.closure_config, hypothesis).is_unique == is_unique
 
 
 coordinates = st.floats(-30, 30)
