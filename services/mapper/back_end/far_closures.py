@@ -5,8 +5,8 @@ The search for closures covers a few metres. After a long path outdoors, or over
 robot may be tens of metres off. So places within its drift are searched as well, one at a time. The drift is about the
 graph's pose and, in turn, about that by odometry alone: matches of plants may be wrong by more. One match so wide may
 be wrong, as buildings repeat themselves. It is a hypothesis: the next keyframes are matched where it puts them. Its
-closures count once enough of them agree over a long enough path, and one of their keyframes fits nowhere else as well.
-The best match is compared first, as a keyframe of plants or of one wall fits at many places.
+closures count once enough of them agree over a long enough path, and more of their keyframes fit nowhere else as well
+than do. The best match is compared first, as a keyframe of plants or of one wall fits at many places.
 
 Consistent closures before any counts: Mangelson et al., ICRA 2018. One hypothesis at a time, and its comparison with
 all other places, are our own.
@@ -92,7 +92,7 @@ class FarClosures:
     def _begin(self) -> None:
         self.waiting: list[Constraint] = []
         self.margins: dict[int, float] = {}  # of the closures that were not compared with all places, by node
-        self.n_misses = 0
+        self.n_misses = self.n_more_unique = 0  # the latter: matches without a rival less those with one
 
     def hypothesis(self, graph: PoseGraph, driven: Sequence[float]) -> Hypothesis | None:
         """Returns the hypothesis; None if there is none.  driven: (n,) m, path length up to each node."""
@@ -118,12 +118,14 @@ class FarClosures:
     def add(self, search: FarSearch, graph: PoseGraph) -> list[Constraint]:
         """Adds the result of a search. Returns the closures that agree once they count; else none."""
         self.n_misses += search.has_missed + MISSES_PER_RIVAL * search.is_ambiguous
+        self.n_more_unique += search.is_unique - search.is_ambiguous
         if search.compared is not None:
             self.margins.pop(search.compared, None)
         if search.closure is not None:
             self.waiting.append(search.closure)
             self.margins[search.closure.j] = search.margin
-        closures = [self.waiting[k] for k in self._agreeing(graph)[0]] if search.is_unique else []
+        counts = search.is_unique and self.n_more_unique > 0
+        closures = [self.waiting[k] for k in self._agreeing(graph)[0]] if counts else []
         if closures or self.n_misses > len(self.waiting) + MAX_EXTRA_MISSES:
             self._begin()
         return closures

@@ -307,6 +307,22 @@ def test_a_hypothesis_that_fits_no_more_or_not_alone_is_given_up(found, n_until)
     assert far.hypothesis(graph, driven) is None
 
 
+@given(st.lists(st.booleans(), min_size=1, max_size=6))
+def test_closures_count_once_more_of_them_have_no_rival_than_have_one(has_rival):
+    """In a building of similar corridors one in three wrong matches fits nowhere else as well, by chance."""
+    n = 30
+    graph, _ = straight(n)
+    far, ahead = FarClosures(), 0
+    for k in range(25):
+        far.add(closure(k, n), graph)
+    for is_ambiguous in has_rival:
+        counted = far.add(FarSearch(is_unique=not is_ambiguous, is_ambiguous=is_ambiguous), graph)
+        ahead += -1 if is_ambiguous else 1
+        assert bool(counted) == (ahead > 0)
+        if counted:
+            return
+
+
 def test_removed_keyframes_take_their_closures_with_them():
     n = 30
     graph, driven = straight(n)
