@@ -15,7 +15,7 @@ Phases 1, 2 and 6 follow KISS-ICP (Vizzo et al., RA-L 2023, section III) with a 
 Phases 3 to 5 are our own.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import hypot, sqrt
 from typing import ClassVar
 
@@ -25,6 +25,7 @@ from pydantic import Field
 from services.mapper.back_end.keyframe import Sweep
 from services.mapper.front_end.beams import Beams
 from services.mapper.front_end.correlative_match import SearchConfig
+from services.mapper.front_end.corridor_slip import SLIP_SIGMA_M, CorridorSlip
 from services.mapper.front_end.dynamic_points import DynamicPointFilter
 from services.mapper.front_end.laser_agreement import LaserAgreement
 from services.mapper.front_end.odometry_error import COMPARISON_S, MAX_JITTER_S, OdometryError
@@ -37,7 +38,7 @@ from services.mapper.front_end.scan_alignment import (
     UnmatchedMotion,
 )
 from services.mapper.front_end.submap import Submap
-from services.mapper.front_end.tracking_result import MIN_BEAMS, ScoredMatch, TrackingResult
+from services.mapper.front_end.tracking_result import MIN_BEAMS, AlignedSweep, ScoredMatch, TrackingResult
 from services.mapper.front_end.tracking_state import TrackingState
 from services.mapper.grid.occupancy import OccupancyConfig
 from shared.config import Drive, Section
@@ -79,26 +80,6 @@ class FrontEndConfig(Section):
     }
 
 
-@dataclass(frozen=True, slots=True)
-class AlignedSweep:
-    """A sweep and its match.
-
-    static: the beams that are not dynamic.  aligned: those of them that registration used; the others may be dynamic.
-    n_dynamic: rejected beams in known free space.  n_free_standing: those of them on free-standing objects.
-    """
-
-    static: Sweep
-    aligned: Sweep
-    scored: ScoredMatch
-    n_dynamic: int
-    n_free_standing: int
-
-    def without_twist(self) -> "AlignedSweep":
-        """The beams without the twist that registration estimated."""
-        twist = self.scored.match.twist
-        return replace(self, static=self.static.without_twist(twist), aligned=self.aligned.without_twist(twist))
-
-
 class FrontEnd:
     """Tracks the robot in a submap that it extends. Frame `local`: that of the submap, continuous.
 
@@ -128,6 +109,7 @@ class FrontEnd:
         )
         self.uncertainty = PoseCovariance()
         self.by_odometry = Pose2()
+        self.corridor_slip = CorridorSlip()
         self.agreement = LaserAgreement(config.good_quality)
         self._submap_settings = registration, occupancy, range_max
         self.start(Pose2())
@@ -144,6 +126,7 @@ class FrontEnd:
         self.uncertainty.reset()
         self.aligner.reset()
         self.dynamic_points.reset()
+        self.corridor_slip.reset()
         self.tracking.reset()
 
     def start_after_misfits(self) -> None:
@@ -190,6 +173,7 @@ class FrontEnd:
         """
         prediction = self._predict(step, sigma_factor, skew, seconds if seconds > 0 else COMPARISON_S)
         beams, sweep = self._align_lasers(beams, prediction, stamp)
+        beams, sweep, prediction = self._correct_slip(beams, sweep, prediction, stamp)
         beams, sweep = self._undistort(beams, sweep, prediction, skew, stamp)
         self._update_uncertainty(sweep, prediction)
         is_standing = self._update_motion(sweep.scored, step, prediction)
@@ -248,7 +232,7 @@ class FrontEnd:
         crowded = self.dynamic_points.is_crowded(prediction.seconds)
         crowd_free_standing = beams.free_standing(True)[valid]
         if prediction.has_odometry:  # else the scan needs all its beams
-            guess = self.smoothed @ prediction.step
+            guess = prediction.smoothed @ prediction.step
             free_standing = crowd_free_standing if crowded else beams.free_standing(False)[valid]
             suspect = self.dynamic_points.suspects(self.submap, sweep, free_standing, guess, stamp, prediction.seconds)
         scored = self.aligner.align(self.submap, sweep.only(~suspect), prediction)
@@ -262,6 +246,18 @@ class FrontEnd:
                 guesses = [scored.match.map_from_base]
                 scored = self.aligner.align(self.submap, sweep.only(~suspect), prediction, guesses)
         return AlignedSweep(sweep, sweep.only(~suspect), scored, n_dynamic, n_free_standing)
+
+    def _correct_slip(
+        self, beams: Beams, sweep: AlignedSweep, prediction: Prediction, stamp: int
+    ) -> tuple[Beams, AlignedSweep, Prediction]:
+        """Aligns the beams again where the wheels have slipped along a corridor."""
+        if prediction.has_odometry and self.submap.registrar.map.n > 0:
+            match, all_beams = sweep.scored.match, beams.sweep()[0]
+            pose = self.corridor_slip.corrected_pose(self.submap, all_beams, match, prediction)
+            if pose is not None:
+                prediction = prediction.slipped_to(pose)
+                beams, sweep = self._align_lasers(beams, prediction, stamp)
+        return beams, sweep, prediction
 
     def _undistort(
         self, beams: Beams, sweep: AlignedSweep, prediction: Prediction, skew: float, stamp: int
@@ -288,7 +284,9 @@ class FrontEnd:
         if registrar.map.n == 0:
             return
         step, factor = prediction.step, prediction.sigma_factor
-        prior = self.odometry_error.prior(self.registration, self.smoothed, step, factor, smooth=True)
+        prior = self.odometry_error.prior(self.registration, prediction.smoothed, step, factor, smooth=True)
+        if prediction.has_slipped:
+            prior = replace(prior, sigma=max(prior.sigma, SLIP_SIGMA_M))
         # an assumed velocity may be wrong for long, so its error adds up like that of a scale
         scale_sigma = self.odometry_error.forward_scale.sigma * hypot(step.x, step.y)
         scale_sigma = scale_sigma if prediction.has_odometry else prior.sigma
@@ -307,7 +305,8 @@ class FrontEnd:
         is_standing = prediction.has_odometry and self.tracking.fits and path <= MAX_STANDING_M
         self.motion = self.local_from_base.inverse() @ match.map_from_base
         if prediction.has_odometry:
-            self.odometry_error.add_match(odometry_step, self.motion, match.information, seconds)
+            if not prediction.has_slipped:
+                self.odometry_error.add_match(odometry_step, self.motion, match.information, seconds)
             self.tracking.check.add(step, self.motion, seconds)
         self.smoothed = self._smoothed_pose(match.map_from_base, prediction)
         self.local_from_base = match.map_from_base
@@ -316,7 +315,7 @@ class FrontEnd:
 
     def _smoothed_pose(self, matched: Pose2, prediction: Prediction) -> Pose2:
         """The pose without the jitter of odometry: uneven or late odometry must not move the prior to and fro."""
-        expected, error = self.smoothed @ prediction.step, self.odometry_error
+        expected, error = prediction.smoothed @ prediction.step, self.odometry_error
         gain, turn_gain = error.jitter.gain, error.turn_jitter.gain
         off = expected.inverse() @ matched
         follows = not prediction.has_odometry or prediction.seconds > MAX_JITTER_S

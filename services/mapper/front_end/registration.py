@@ -150,6 +150,11 @@ class LineRegistrar:
         pose, gate = _row(match.map_from_base), self.config.final_gate
         return np.asarray(_correspondences(own, own_normals, pose, gate, *self.map.index))
 
+    def are_near(self, points: Float64s, pose: Pose2, distance: float) -> Bools:
+        """(n,) bool: which points (n, 2) m in `base` are within `distance` m of a map point with any normal."""
+        indices = _correspondences(points, np.zeros_like(points), _row(pose), distance, *self.map.index)
+        return np.asarray(indices >= 0)
+
 
 def _row(pose: Pose2) -> Float64s:
     return np.array((pose.x, pose.y, pose.yaw))

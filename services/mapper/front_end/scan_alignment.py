@@ -11,7 +11,7 @@ The choice between them is our own.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import hypot, inf
 
 from services.mapper.back_end.keyframe import Sweep
@@ -54,6 +54,7 @@ class Prediction:
     step, seconds: motion by odometry since the last scan, scaled, and its time.
     sigma_factor: of the prior's standard deviations; over 1 there is no odometry.
     skew: share of the step that the sweep took, if registration shall estimate the twist, else 0.
+    has_slipped: whether the poses were moved, as the wheels slipped along a corridor.
     """
 
     local_from_base: Pose2
@@ -64,11 +65,18 @@ class Prediction:
     sigma_factor: float
     skew: float
     unmatched: UnmatchedMotion
+    has_slipped: bool = False
 
     @property
     def has_odometry(self) -> bool:
         """Whether the step is odometry's, not an assumption of constant velocity."""
         return self.sigma_factor <= 1
+
+    def slipped_to(self, local_from_base: Pose2) -> "Prediction":
+        """With its poses moved, so that the step ends at the given pose."""
+        shift = local_from_base @ (self.smoothed @ self.step).inverse()
+        before, smoothed = shift @ self.local_from_base, shift @ self.smoothed
+        return replace(self, local_from_base=before, smoothed=smoothed, has_slipped=True)
 
 
 class ScanAligner:

@@ -5,7 +5,7 @@ Both measures of a match, quality and margin, are our own. They extend the inlie
 the map.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from services.mapper.back_end.keyframe import Sweep
 from services.mapper.front_end.beams import Beams
@@ -63,3 +63,23 @@ class ScoredMatch:
     def inlier_margin(self) -> float:
         """Inliers less contradictions, as a share of all beams, -1..1."""
         return (self.n_inliers - self.n_contradictions) / max(len(self.match.inliers), 1)
+
+
+@dataclass(frozen=True, slots=True)
+class AlignedSweep:
+    """A sweep and its match.
+
+    static: the beams that are not dynamic.  aligned: those of them that registration used; the others may be dynamic.
+    n_dynamic: rejected beams in known free space.  n_free_standing: those of them on free-standing objects.
+    """
+
+    static: Sweep
+    aligned: Sweep
+    scored: ScoredMatch
+    n_dynamic: int
+    n_free_standing: int
+
+    def without_twist(self) -> "AlignedSweep":
+        """The beams without the twist that registration estimated."""
+        twist = self.scored.match.twist
+        return replace(self, static=self.static.without_twist(twist), aligned=self.aligned.without_twist(twist))

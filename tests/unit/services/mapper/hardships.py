@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import islice, pairwise
-from math import atan2, ceil, hypot, pi
+from math import atan2, ceil, hypot, pi, sin
 
 import numpy as np
 
@@ -44,6 +44,20 @@ BEGIN = Pose2(*ROUND[0], 0.0)
 DEAD_END = np.array(
     [(-1.0, -1.0, 14.0, -1.0), (-1.0, 1.0, 14.0, 1.0), (-1.0, -1.0, -1.0, 1.0), (14.0, -1.0, 14.0, 1.0)]
 )
+
+
+def wall_with_doors(y: float, depth: float, begin: float) -> list[tuple[float, float, float, float]]:
+    """A wall of 40 m along x with closed doors 0.95 m wide in recesses of a depth, m, at uneven distances."""
+    segments, end = list[tuple[float, float, float, float]](), -5.0
+    while begin < 34.0:
+        a, b = begin, begin + 0.95
+        segments += [(end, y, a, y), (a, y, a, y + depth), (a, y + depth, b, y + depth), (b, y + depth, b, y)]
+        begin, end = b + 2.2 + 0.7 * sin(3.0 * begin), b
+    return [*segments, (end, y, 35.0, y)]
+
+
+DOORS = np.array([*wall_with_doors(-1.2, -0.15, -3.0), *wall_with_doors(1.2, 0.15, -2.2)])
+"""A corridor in which only door frames show how far a robot has driven."""
 
 
 def along(places: tuple[tuple[float, float], ...], step: float = 0.2, turn: float = 0.35) -> list[Pose2]:
