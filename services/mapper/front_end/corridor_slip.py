@@ -83,7 +83,7 @@ class CorridorSlip:
     def corrected_pose(self, submap: Submap, sweep: Sweep, match: Match, prediction: Prediction) -> Pose2 | None:
         """The pose in `local` along the corridor where the scan fits as usual; None if it is that of the match.
 
-        sweep: all beams with an echo, also those that the match left out.
+        sweep: beams with an echo, but not those on free-standing objects, which may move as the robot does.
         """
         self._drive(prediction)
         pose, direction = match.map_from_base, open_direction(match.information)

@@ -5,7 +5,7 @@
 
 1. predict: the motion by odometry, at its estimated scale.
 2. align: reject dynamic points, align the others with the submap, search if that fails. A second laser that
-   contradicts the first one is left out.
+   contradicts the first one is left out. Where wheels slipped along a corridor, the scan is aligned again.
 3. undistort: remove what de-skewing by odometry left.
 4. update the uncertainty, and then the pose, the errors of odometry and the crowd.
 5. classify: good, poor or lost; may the scan be drawn?
@@ -252,8 +252,9 @@ class FrontEnd:
     ) -> tuple[Beams, AlignedSweep, Prediction]:
         """Aligns the beams again where the wheels have slipped along a corridor."""
         if prediction.has_odometry and self.submap.registrar.map.n > 0:
-            match, all_beams = sweep.scored.match, beams.sweep()[0]
-            pose = self.corridor_slip.corrected_pose(self.submap, all_beams, match, prediction)
+            all_beams, valid = beams.sweep()
+            attached = all_beams.only(~beams.free_standing(True)[valid])  # a person ahead shows no slip
+            pose = self.corridor_slip.corrected_pose(self.submap, attached, sweep.scored.match, prediction)
             if pose is not None:
                 prediction = prediction.slipped_to(pose)
                 beams, sweep = self._align_lasers(beams, prediction, stamp)
