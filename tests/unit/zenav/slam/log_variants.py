@@ -14,6 +14,7 @@ A reference NAME.relations or NAME.ref.tum beside the log is copied with each.
 | narrow | the outer beams see nothing; 60, 75 or 90 degrees remain of 180 |
 | odometry | 5 % too long, 5 % too little turn, a drift of 0.02 rad per m, and noise as large as each |
 | jumps | once in 40 m, odometry jumps by 0.8 m and about 0.2 rad |
+| mount | the laser is 0.3 m ahead of, 0.3 m behind or 0.2 m beside the place that the log says, in turn |
 | late | odometry has the pose of 0.3, 0.64 or 0.9 s before, in turn |
 """
 
@@ -34,6 +35,7 @@ from zenav.slam.slam_error import SUFFIXES
 MAX_RANGE_M = 30.0  # a larger range may be that of no return
 NO_RETURN_M, NO_BEAM_M = 81.83, 0.0
 LATE, LAGS_S = "late", (0.3, 0.64, 0.9)
+MOUNT, LASERS = "mount", (Pose2(0.3, 0, 0), Pose2(-0.3, 0, 0), Pose2(0, 0.2, 0))  # of the pose that the log has
 FIRST_RANGE = {"FLASER": 2, "ROBOTLASER1": 9}  # word of a line; the one before it is the number of ranges
 TO_STAMP = {"ODOM": 6, "FLASER": 3, "ROBOTLASER1": 8}  # words from odometry's pose
 
@@ -101,7 +103,7 @@ class Variant:
                 word if after == before else f"{after:.3f}"
                 for word, before, after in zip(words[first:end], ranges, changed)
             ]
-        if (self.kind == LATE or self.kind in STEPS) and words[0] in TO_STAMP:
+        if (self.kind in (LATE, MOUNT) or self.kind in STEPS) and words[0] in TO_STAMP:
             self._move(words)
         return " ".join(words)
 
@@ -111,6 +113,8 @@ class Variant:
         measured = Pose2(*(float(word) for word in words[at : at + 3]))
         if self.kind == LATE:
             self.changed = self._late(float(words[at + TO_STAMP[words[0]]]), measured)
+        elif self.kind == MOUNT:
+            self.changed = measured @ LASERS[(self.seed - 1) % len(LASERS)].inverse()
         elif self.measured is None:
             self.changed = measured
         else:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from shared.geometry import Pose2
-from tests.unit.zenav.slam.log_variants import RANGES, STEPS, jumping, write_variants
+from tests.unit.zenav.slam.log_variants import LASERS, RANGES, STEPS, jumping, write_variants
 
 LOG = (
     "# a comment\n"
@@ -97,6 +97,16 @@ def test_late_odometry_has_the_pose_of_some_time_before(tmp_path):
     assert [pose.x for poses in copies for pose in poses] == pytest.approx(
         [1.0, 1.0 + 0.1 * (1.5 - 0.3 - 1.0) / 0.5, 1.0 + 0.1 * (1.6 - 0.3 - 1.0) / 0.5] + [1.0] * 6
     )
+
+
+def test_a_laser_is_not_where_the_log_has_it(tmp_path):
+    """The wheels turn about another point than the laser: it drives on where the original's laser did."""
+    for copy, laser in zip(variants("mount", tmp_path), LASERS, strict=True):
+        assert all(a not in RANGE_WORDS for a, _ in changed_words(copy))
+        lasers = [pose @ laser for pose in odometry(copy)]
+        assert [value for p in lasers for value in (p.x, p.y, p.yaw)] == pytest.approx(
+            [value for pose in POSES for value in pose], abs=1e-5
+        )
 
 
 def test_every_kind_is_tested():

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """A displacement that the scans contradict is found, and one that odometry alone contradicts is not."""
 
-from math import cos, pi, sin
+from math import cos, isnan, pi, sin
 
 import numpy as np
 import pytest
 
 from shared.geometry import Pose2
-from tests.unit.zenav.slam.reference_fit import mean_errors, pair_fits, stretches
+from tests.unit.zenav.slam.reference_fit import ScanPairs, displacements, moved_ahead, pair_fits, stretches, turning
 from zenav.convert.records import LoggedScan
 from zenav.slam.slam_error import PosePairs
 
@@ -27,6 +27,21 @@ def scan(k: int, odom_from_base: Pose2) -> LoggedScan:
     return LoggedScan(
         round(k * 1e9), odom_from_base, odom_from_laser, -pi / 2, pi / 180, 50.0, np.array(ranges, np.float32)
     )
+
+
+def turned_scan(k: int) -> LoggedScan:
+    """A scan of a robot that turns on the spot, by 0.3 rad each second."""
+    base = Pose2(-0.5, 0.3, 0.3 * k)
+    laser = base @ AHEAD
+    ranges = []
+    for angle in laser.yaw + np.linspace(-pi / 2, pi / 2, 181):
+        to_walls = [
+            (np.copysign(wall, direction) - at) / direction
+            for wall, at, direction in zip(WALLS, (laser.x, laser.y), (cos(angle), sin(angle)))
+            if abs(direction) > 1e-9
+        ]
+        ranges.append(min(to_walls))
+    return LoggedScan(round(k * 1e9), base, laser, -pi / 2, pi / 180, 50.0, np.array(ranges, np.float32))
 
 
 def fits(reference: Pose2, odometry: Pose2):
@@ -54,16 +69,37 @@ def test_a_reference_is_wrong_where_the_scans_fit_by_odometry_alone(reference, o
     assert {fit.is_copy for fit in found} == {is_copy}
 
 
+@pytest.mark.parametrize("point", [0.0, -0.2, 0.1])
+def test_pairs_that_turn_show_which_point_a_reference_displaces(point):
+    """point: m ahead of the robot's own."""
+    scans = [turned_scan(k) for k in range(7)]
+    poses = np.array([(p.x, p.y, p.yaw) for p in (scan.odom_from_base @ Pose2(point, 0, 0) for scan in scans)])
+    early = np.arange(4.0)
+    pairs = PosePairs(early, early + 3, displacements(np.arange(7.0), poses, PosePairs(early, early + 3, poses[:4])))
+    assert len(turning(pairs).early) == 4
+    assert ScanPairs(scans, pairs).laser_ahead(pairs.early_from_late) == pytest.approx(AHEAD.x - point, abs=0.021)
+
+
+def test_scans_fit_best_by_the_motion_that_they_were_made_in():
+    scans = [turned_scan(k) for k in range(7)]
+    early, turn = np.arange(4.0), np.tile((0.0, 0.0, 0.9), (4, 1))
+    scan_pairs = ScanPairs(scans, PosePairs(early, early + 3, turn))
+    fit = scan_pairs.mean_fit(turn, AHEAD)
+    assert all(fit > scan_pairs.mean_fit(turn + off, AHEAD) for off in ((0.1, 0, 0), (0, 0.1, 0), (0, 0, 0.05)))
+
+
+def test_a_robot_that_drives_straight_shows_no_such_point():
+    pairs = PosePairs(np.zeros(2), np.ones(2), np.array([(0.5, 0, 0.2), (0, 0, pi)]))
+    assert len(turning(pairs).early) == 0
+    assert isnan(ScanPairs([turned_scan(0)], turning(pairs)).laser_ahead(np.empty((0, 3))))
+
+
 def test_wrong_pairs_that_follow_each_other_are_one_stretch():
     wrong = fits(ASIDE, TRUE)
     assert stretches(wrong) == [wrong]
     assert stretches([]) == []
 
 
-def test_short_pairs_and_others_have_their_own_mean_error(tmp_path):
-    """The trajectory is a centimetre too long each second."""
-    path = tmp_path / "trajectory.tum"
-    path.write_text("".join(f"{k} {0.51 * k} 0 0 0 0 0 1\n" for k in range(60)))
-    early, late = np.array([0.0, 10.0, 0.0]), np.array([2.0, 14.0, 50.0])
-    rows = np.column_stack((0.5 * (late - early), np.zeros(3), np.zeros(3)))
-    assert mean_errors(PosePairs(early, late, rows), path) == pytest.approx((0.03, 0.5))
+def test_a_point_ahead_of_the_robot_moves_on_a_circle_where_it_turns():
+    poses = np.array([(1.0, 2.0, 0.0), (1.0, 2.0, pi / 2), (1.0, 2.0, pi)])
+    assert moved_ahead(poses, 0.5) == pytest.approx(np.array([(1.5, 2, 0), (1, 2.5, pi / 2), (0.5, 2, pi)]))
