@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from services.mapper.maps.map_file import unpack_map
-from shared import requests, topics
+from shared import requests, sample_messages, topics
 from shared.config import Section, UserError
 from shared.geometry import Pose2
 from shared.messages import (
@@ -115,7 +115,7 @@ class StopGuard(Service):
 
 
 class TileMapper(Service):
-    """A new tile each tick, three in all, and no pose graph."""
+    """A new tile each tick, three in all, a pose, and no pose graph."""
 
     def __init__(self) -> None:
         super().__init__(Section(), ROBOT)
@@ -148,6 +148,7 @@ class TileMapper(Service):
             row = np.array([self.version], np.int32)
             cells = np.full((1, 4096), 100 * (self.version % 2), np.int8)
             yield topics.MAP(MapUpdate(self.now, 1, self.version, 0.05, row, row, cells))
+        yield topics.POSE(sample_messages.pose_estimate(self.now))
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 import zenoh
 
@@ -19,7 +20,7 @@ from shared.codec import Envelope, decode, encode
 from shared.config import UserError
 from shared.credentials import Credentials, parsed_credentials
 from shared.geometry import Pose2
-from shared.messages import GuardState, GuardStatus, Health, NavState, NavStatus, RobotIntent
+from shared.messages import GuardState, GuardStatus, Health, LaserScan, NavState, NavStatus, RobotIntent
 from shared.requests import Cancel, Navigate, Reply
 from shared.runners import transport
 from shared.runners.fleet_listener import FleetListener
@@ -109,6 +110,13 @@ class FakeRobot:
     def end(self) -> None:
         self._ending.set()
         self._thread.join()
+
+    def scan(self) -> None:
+        """Publishes a scan of many beams, which no compression makes short."""
+        ranges = np.random.default_rng(self.client.now()).uniform(1, 5, 2000).astype(np.float32)
+        self.client.publish(
+            topics.SCAN(LaserScan(self.client.now(), 0.0, 0.003, 0.1, 0.1, 6.0, ranges)), "lidar_driver"
+        )
 
     def _stop(self, pressed: bool) -> None:
         self.stops.append(pressed)
@@ -278,7 +286,7 @@ def test_what_was_recorded_while_the_link_was_lost_is_fetched_afterwards(site, r
     site.end()
     recorder = subprocess.Popen([*command, "--set", f"recorder.folder={folder}"], cwd=ROOT)
     try:
-        until(lambda: any(file.stat().st_size > 100_000 for file in folder.glob("*.mcap")), red.lines)
+        until(lambda: red.scan() or any(file.stat().st_size > 100_000 for file in folder.glob("*.mcap")), red.lines)
         site.start()
         until(lambda: red.is_linked, red.lines)
         until(lambda: list_robot_recordings("red", site.local) == 0, red.lines)
