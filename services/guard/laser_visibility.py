@@ -35,7 +35,10 @@ MAX_LOST_POINTS = 1000  # kept, the nearest
 MAX_LOST_DISTANCE_M = 12.0  # m
 MIN_RETURN_BEHIND_M = 0.3  # by which a return must lie behind a kept point to disprove it
 MIN_RANGE_MARGIN_M = 0.05  # over range_min: a point there may leave the range by noise
-MAX_RANGE_SHARE = 0.8  # of range_max: dark and slanted surfaces return nothing beyond
+MAX_RANGE_SHARE = 0.8  # of range_max: some dark and slanted surfaces return nothing beyond
+MIN_FAR_MARGIN_M = 0.1  # under range_max: a point there may leave the range by noise
+MIN_EXPECTED_FAR = 0.9  # share of a sector that the last scan filled, also beyond MAX_RANGE_SHARE
+MAX_KEPT_OF_FAR = 0.05  # share of these returns under which the sector is dark
 LOOKAHEAD_M = 1.0  # beyond the stopping distance
 MAX_TURN_AHEAD_RAD = pi / 2
 N_STEPS = 6  # poses on the arc ahead
@@ -125,16 +128,15 @@ class LaserVisibility:
         distance, at = np.hypot(known[:, 0], known[:, 1]), self._directions_of(_bearings(known))
         due = (
             (distance > scan.range_min + MIN_RANGE_MARGIN_M)
-            & (distance < MAX_RANGE_SHARE * scan.range_max)
+            & (distance < scan.range_max - MIN_FAR_MARGIN_M)
             & self._covered[at]
+            & self.config.dark_sectors
         )
-        expected = np.minimum(np.bincount(at[due], minlength=self.n_directions) / np.maximum(n_beams, 1), 1.0)
-        self._update_dark_sectors(
-            returned_share,
-            expected if self.config.dark_sectors else np.zeros(self.n_directions),
-            float(seen.mean()),
-            now,
+        near, expected = (
+            np.minimum(np.bincount(at[which], minlength=self.n_directions) / np.maximum(n_beams, 1), 1.0)
+            for which in (due & (distance < MAX_RANGE_SHARE * scan.range_max), due)
         )
+        self._update_dark_sectors(returned_share, near, expected, float(seen.mean()), now)
         self._update_points(ends, radius, bins, odom_from_laser, distance, at)
         self.detail = (
             self._description(scan, int(stride * np.count_nonzero(own))) if self._few_since or self._dark.any() else ""
@@ -185,33 +187,41 @@ class LaserVisibility:
     def _directions_of(self, angles: Float64s) -> Int64s:
         return (angles % (2 * pi) * (self.n_directions / (2 * pi))).astype(np.int64) % self.n_directions
 
-    def _update_dark_sectors(self, returned_share: Float64s, expected: Float64s, share: float, now: int) -> None:
-        """Updates the dark sectors. Both arrays are (n,): share of each direction's beams that returned, and that
-        should have.
+    def _update_dark_sectors(
+        self, returned_share: Float64s, near: Float64s, expected: Float64s, share: float, now: int
+    ) -> None:
+        """Updates the dark sectors. Arrays are (n,): share of each direction's beams that returned, and that should.
+
+        near: those that should, from the part of the range in which every surface returns.
         """
+        is_gone = self._is_gone(returned_share, near, MIN_EXPECTED, MAX_KEPT_OF_LOST)
+        is_gone |= self._is_gone(returned_share, expected, MIN_EXPECTED_FAR, MAX_KEPT_OF_FAR)
         again = np.minimum(returned_share, expected)
-        total, n_covered = float(expected.sum()), np.count_nonzero(self._covered)
-        lost = MAX_KEPT_OF_LOST * self._sector_sum(expected)
-        is_gone = (self._sector_sum(expected) >= MIN_EXPECTED * (2 * self.sector_half + 1)) & (
-            self._sector_sum(again) < lost
-        )
+        total, again_near = float(near.sum()), float(np.minimum(returned_share, near).sum())
+        n_covered = np.count_nonzero(self._covered)
         fresh = (
             (self._sector_sum(is_gone.astype(float)) > 0)
             & (expected > 0)
             & (returned_share < MAX_KEPT_OF_LOST * expected)
         )
-        if not self._all_since and total >= MIN_EXPECTED_WHOLE * n_covered and again.sum() < MAX_KEPT_OF_LOST * total:
+        if not self._all_since and total >= MIN_EXPECTED_WHOLE * n_covered and again_near < MAX_KEPT_OF_LOST * total:
             self._all_since = now
-            fresh |= (expected > 0) & (returned_share == 0)
+            fresh |= (near > 0) & (returned_share == 0)
         self._dark_since[fresh & ~self._dark] = now
         dark = self._dark
         due, back = self._sector_sum(expected * dark), self._sector_sum(again * dark)
         proven = due >= MIN_STILL_EXPECTED * self._sector_sum(dark.astype(float))
         self._dark_since[dark & ~(proven & (back < MIN_RETURNED * due))] = 0
-        if again.sum() >= MIN_RETURNED * total or total < MIN_EXPECTED_WHOLE / 2 * n_covered:
+        if again_near >= MIN_RETURNED * total or total < MIN_EXPECTED_WHOLE / 2 * n_covered:
             self._all_since = 0
         few = share < self.config.min_share
         self._few_since = (self._few_since or now) if few else 0
+
+    def _is_gone(self, returned_share: Float64s, expected: Float64s, min_expected: float, max_kept: float) -> Bools:
+        """(n,) whether a direction's sector was filled to a share, and has kept less than another one of that."""
+        due = self._sector_sum(expected)
+        kept = self._sector_sum(np.minimum(returned_share, expected))
+        return np.asarray((due >= min_expected * (2 * self.sector_half + 1)) & (kept < max_kept * due))
 
     def _update_points(
         self,

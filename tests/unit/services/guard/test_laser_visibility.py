@@ -38,12 +38,12 @@ class VisibilityWatch:
     def blind(self, v=0.5, w=0.0):
         return self.view.is_blind(v, w, self.now)
 
-    def hall(self, x_wall=4.0):
-        """A round hall of 5 m about the origin, a wall across it ahead."""
+    def hall(self, x_wall=4.0, radius=5.0):
+        """A round hall about the origin, a wall across it ahead."""
         laser = self.odom_from_base @ self.view.base_from_laser
         angles = BEARINGS + self.odom_from_base.yaw
         along = laser.x * np.cos(angles) + laser.y * np.sin(angles)
-        ranges = np.sqrt(along**2 + 25 - laser.x**2 - laser.y**2) - along
+        ranges = np.sqrt(along**2 + radius**2 - laser.x**2 - laser.y**2) - along
         with np.errstate(divide="ignore"):
             wall = (x_wall - laser.x) / np.cos(angles)
         return np.where(wall > 0, np.minimum(ranges, wall), ranges)
@@ -100,6 +100,42 @@ def test_a_sector_that_goes_dark_blinds_motion_into_it_alone_until_it_is_back(ha
     assert not watch.blind(-0.3, 0.0)
     watch.scans(2, watch.hall)
     assert not watch.blind()
+
+
+@pytest.mark.parametrize("distance", [10.0, 11.0, 11.5])
+def test_a_sector_goes_dark_also_where_its_walls_are_near_the_end_of_the_range(distance):
+    watch = VisibilityWatch()
+    watch.scans(10, lambda: watch.hall(distance, 11.7))
+    assert not watch.blind()
+    watch.scans(5, lambda: sector(watch.hall(distance, 11.7), 0.0, pi / 6), v=0.3)
+    assert watch.blind()
+    assert not watch.blind(-0.3, 0.0)
+    watch.scans(2, lambda: watch.hall(distance, 11.7), v=0.3)
+    assert not watch.blind()
+
+
+@pytest.mark.parametrize("speed", [-0.3, -1.0])
+@pytest.mark.parametrize("noise", [0.0, 0.03])
+def test_walls_that_leave_the_range_as_the_robot_drives_leave_no_dark_sector(speed, noise):
+    """Ahead a wall, all around the hall; with 3 m of both beyond the range at the end."""
+    watch, rng = VisibilityWatch(OPEN_AIR), np.random.default_rng(0)
+
+    def seen():
+        ranges = watch.hall(10.5, 11.0) + rng.normal(0, noise, N)
+        return np.where(ranges < LASER.range_max, ranges, np.nan)
+
+    while watch.odom_from_base.x > -4.5:
+        watch.scans(1, seen, v=speed)
+        assert not watch.view.is_dark
+
+
+def test_a_far_wall_that_returns_now_and_then_is_no_dark_sector():
+    """Each scan loses a third of the far returns, once in a while four fifths of them."""
+    watch, rng = VisibilityWatch(OPEN_AIR), np.random.default_rng(0)
+    for k in range(200):
+        lost = rng.random(N) < (0.8 if k % 7 == 0 else 0.33)
+        watch.scans(1, lambda lost=lost: np.where(lost, np.nan, watch.hall(11.0, 11.5)), w=0.2)
+        assert not watch.view.is_dark
 
 
 def test_what_stood_in_the_dark_stays_where_it_was_while_the_robot_drives_on():
