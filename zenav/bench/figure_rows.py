@@ -38,7 +38,6 @@ LOGS = (
     "intel",
     "intel-sparse",
 )
-ROS_BUILDINGS = "0,1,2,6,7,8,12,19"
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,9 +108,9 @@ ROWS: tuple[FigureRow, ...] = (
         FigureRow(
             name=f"localise-ros-{cm}cm",
             what="",
-            command=f"zenav bench localise --map-format ros --cell {cm / 100:g} --buildings {ROS_BUILDINGS} --poses 40",
+            command=f"zenav bench localise --map-format ros --cell {cm / 100:g} --poses 100",
             cells=localise_cells(f"pgm and yaml, {cm} cm"),
-            parts=tuple(f"--buildings {number} --poses 5" for number in ROS_BUILDINGS.split(",")),
+            parts=_spans("--buildings", 0, 19, 5, " --poses 25"),
             hidden="--maps {work}/maps",
             jobs=True,
         )

@@ -342,6 +342,8 @@ class GlobalLocalizer:
         self.n_unrivalled = min(self.n_unrivalled + 1, n)
         is_stable = n >= self.config.min_searches and self.searched_at - since >= self.config.min_path
         if self.window_about is None and (self.n_unrivalled < self.config.min_unrivalled or not is_stable):
+            if is_stable and self.part_about is None:
+                self.rest = None  # the next search confirms the pose
             return None
         self.is_searching = False
         return pose

@@ -524,7 +524,8 @@ def parsed_numbers(row, option):
     [("office", "--seeds", range(10)), ("office-live", "--seeds", range(10, 15)),
      ("buildings", "--buildings", range(20)), ("localise", "--buildings", range(20)), ("barn", "--worlds", range(300)),
      ("barn-noise", "--worlds", range(300)), ("crowd", "--worlds", range(100)),
-     ("crowd-unseen", "--worlds", range(1000, 1100)), ("localise-ros-5cm", "--buildings", [0, 1, 2, 6, 7, 8, 12, 19])],
+     ("crowd-unseen", "--worlds", range(1000, 1100)), ("localise-ros-5cm", "--buildings", range(20)),
+     ("localise-ros-10cm", "--buildings", range(20))],
 )  # fmt: skip
 def test_the_parts_of_a_row_are_the_whole_command(name, option, numbers):
     row = next(row for row in ROWS if row.name == name)

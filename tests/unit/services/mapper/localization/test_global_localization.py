@@ -208,6 +208,32 @@ def test_only_for_a_part_searches_become_rarer_while_they_find_nothing(building,
         assert fruitless[-1] == pytest.approx(MAX_PART_INTERVAL_M, abs=0.11)
 
 
+@pytest.mark.parametrize(("rival", "waits"), [(0.97, True), (0.8, False)])
+def test_after_a_long_search_the_next_one_waits_unless_it_confirms_a_place(building, rival, waits):
+    """A keyframe each half metre and half second; a search takes 20 s. From the fourth on, the rival fits as given."""
+    _, saved, _ = building
+    driven = put(ALIKE, saved, START)
+    driven.step(Pose2())
+    localizer = driven.mapper.slam.localizer
+    keyframe, *others = localizer.pending[-1]
+    localizer.load(saved)
+    searched_at = []
+    for step in range(200):
+        moved = replace(keyframe, local_from_base=Pose2(0.5 * step, 0, 0), stamp=keyframe.stamp + step * NS_PER_S // 2)
+        for _ in localizer.add_keyframe(moved, *others):
+            searched_at.append(step)
+            margin = 0.97 if len(searched_at) < 4 else rival
+            found = [PoseHypothesis(Pose2(), 0.99, True), PoseHypothesis(Pose2(9), margin, True)]
+            pose = localizer.accepted_pose((localizer.epoch, found, 20.0))
+            assert (pose is not None) is (not waits and len(searched_at) == 5)
+        if not localizer.is_searching:
+            break
+    intervals = np.diff(searched_at)
+    assert (intervals[:3] == 40).all()
+    assert (intervals[3:] == (40 if waits else 1)).all()
+    assert localizer.is_searching is waits
+
+
 def test_a_map_that_goes_on_grows_by_what_is_new_and_closes_with_what_is_old(building):
     alike, saved, first = building
     rng = np.random.default_rng(6)
