@@ -32,7 +32,6 @@ AHEAD_HALF_WIDTH_RAD = radians(25.0)  # about straight ahead or back
 MIN_DARK = 0.25  # share of the directions that the robot will sweep
 SUPPORT_RADIUS_M = 0.1  # of two returns that support each other: a single one is noise
 MAX_LOST_POINTS = 1000  # kept, the nearest
-MAX_LOST_DISTANCE_M = 12.0  # m
 MIN_RETURN_BEHIND_M = 0.3  # by which a return must lie behind a kept point to disprove it
 MIN_RANGE_MARGIN_M = 0.05  # over range_min: a point there may leave the range by noise
 MAX_RANGE_SHARE = 0.8  # of range_max: some dark and slanted surfaces return nothing beyond
@@ -244,7 +243,6 @@ class LaserVisibility:
         np.maximum.at(farthest, bins[hit], away)
         kept = hidden[at] & self._covered[at] & (farthest[at] < distance + MIN_RETURN_BEHIND_M)
         kept |= self._lost & ~self._covered[at]  # out of the sweep now: its state is unknown
-        kept &= distance <= MAX_LOST_DISTANCE_M
         order = np.flatnonzero(kept)
         if len(order) > MAX_LOST_POINTS:
             order = order[np.argsort(distance[order], kind="stable")[:MAX_LOST_POINTS]]
