@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from shared.geometry import Pose2
-from shared.types import Float64s
+from shared.types import Float64s, Int64s
 from zenav.convert.carmen import read_carmen
 from zenav.convert.records import LoggedScan
 from zenav.slam.slam_error import PosePairs, pair_errors, pairs_of, read_tum, relative_poses
@@ -105,8 +105,12 @@ def _share(tree: cKDTree, points: Float64s) -> float:
 
 def displacements(stamps: Float64s, poses: Float64s, pairs: PosePairs) -> Float64s:
     """(n, 3) of the pairs, by the nearest poses (k, 3) at stamps (k,), s in order."""
-    early, late = (poses[np.abs(stamps - times[:, None]).argmin(axis=1)] for times in (pairs.early, pairs.late))
-    return relative_poses(early, late)
+    return relative_poses(poses[_nearest(stamps, pairs.early)], poses[_nearest(stamps, pairs.late)])
+
+
+def _nearest(stamps: Float64s, times: Float64s) -> Int64s:
+    """(n,) index of the stamp (k,) that is nearest to each time (n,), s."""
+    return np.abs(stamps - times[:, None]).argmin(axis=1)
 
 
 class ScanPairs:
@@ -114,9 +118,8 @@ class ScanPairs:
 
     def __init__(self, scans: Sequence[LoggedScan], pairs: PosePairs) -> None:
         stamps = np.array([scan.stamp / 1e9 for scan in scans])
-        nearest = [np.abs(stamps - times[:, None]).argmin(axis=1) for times in (pairs.early, pairs.late)]
-        self.trees = [cKDTree(_ends(scans[k])) for k in nearest[0]]
-        self.ends = [_ends(scans[k]) for k in nearest[1]]
+        self.trees = [cKDTree(_ends(scans[k])) for k in _nearest(stamps, pairs.early)]
+        self.ends = [_ends(scans[k]) for k in _nearest(stamps, pairs.late)]
 
     def mean_fit(self, early_from_late: Float64s, base_from_laser: Pose2) -> float:
         """How much of the later scans lies on the earlier ones, 0..1."""
